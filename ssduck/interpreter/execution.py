@@ -93,6 +93,7 @@ class Execution(Namespace):
             self._recorded_names,
             self.type_of_relation,
             self._finds,
+            lambda node: Frame(self).value(node),
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self.temporal = TemporalEvaluator(database.record_of, self._rows)

@@ -17,7 +17,12 @@ from ssduck.errors import ArgumentError, ProgramWarning, SelectScriptError, Sour
 from ssduck.interpreter.lint.angles import angles, degrees_in_sql
 from ssduck.interpreter.lint.foregone import foregone
 from ssduck.interpreter.lint.misread_relations import is_nan, misread_relations, swapped_rows
-from ssduck.interpreter.lint.names_in_programs import MAX_UNKNOWN, hidden_names, unknown_names
+from ssduck.interpreter.lint.names_in_programs import (
+    MAX_UNKNOWN,
+    hidden_names,
+    skipped_names,
+    unknown_names,
+)
 from ssduck.interpreter.lint.scope import Check, KnownNames, Scope, entity_of
 from ssduck.interpreter.lint.suspect_values import suspect_values
 from ssduck.language import ast
@@ -28,6 +33,7 @@ from ssduck.world.world import World
 _FINDERS: tuple[Callable[[ast.Node], Iterable[Check]], ...] = (
     hidden_names,
     unknown_names,
+    skipped_names,
     suspect_values,
     misread_relations,
     angles,
@@ -54,6 +60,7 @@ class Linter:
         recorded: returns the names of all entities in a world's record.
         type_of_relation: returns the type of a relation's result; None if a name is no relation.
         finds: checks whether a query has a row; None if it cannot run.
+        value: returns the value of a variable or of a part of a world.
     """
 
     def __init__(
@@ -64,9 +71,18 @@ class Linter:
         recorded: Callable[[World], Iterable[str]],
         type_of_relation: Callable[[str], str | None],
         finds: Callable[[ast.Query], bool | None],
+        value: Callable[[ast.Node], Any],
     ) -> None:
-        names, warn_of = KnownNames(recorded), self._warn_of
-        self._scope = Scope(variable, is_function, worlds, type_of_relation, finds, warn_of, names)
+        self._scope = Scope(
+            variable,
+            is_function,
+            worlds,
+            type_of_relation,
+            finds,
+            value,
+            self._warn_of,
+            KnownNames(recorded),
+        )
         self._checks: WeakKeyDictionary[ast.Node, tuple[Check, ...]] = WeakKeyDictionary()
         self._reported: set[tuple[str | None, str]] = set()
         self._is_volume_told = False

@@ -5,7 +5,7 @@ A variable that hides a function, a text in the place of a name, a name that no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -20,6 +20,7 @@ from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.language import ast
 from ssduck.language.analysis import OVER_TIME, states
 from ssduck.recording.replay.past import Past
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.user_sql import NameKind
 from ssduck.world.handles import Handle, Link, Links
 from ssduck.world.world import World
@@ -166,6 +167,69 @@ def _bare_names(nodes: Iterable[ast.Node]) -> Iterator[ast.Name]:
             yield node
         if not isinstance(node, ast.Query):
             yield from _bare_names(node.children())
+
+
+# -- names in parts that others may decide --------------------------------------------------------
+
+
+def skipped_names(statement: ast.Node) -> Iterator[Check]:
+    """Yields the checks of names in parts that are evaluated only where others decide nothing.
+
+    Queries and functions of time look up all of their names. What a text of the statement asks for,
+    as in `'cup' IN room AND z(room.cup) > 1`, may come.
+    """
+    indices = {
+        part for node in statement.walk() if isinstance(node, ast.Index) for part in node.indices
+    }
+    texts = {
+        node.value
+        for node in statement.walk()
+        if isinstance(node, ast.Literal) and node not in indices
+    }
+    texts |= {node.name for node in statement.walk() if isinstance(node, ast.Assignment)}
+    for place in _skipped_places(statement, is_skipped=False):
+        yield partial(_of_nothing, place, texts)
+
+
+def _skipped_places(node: ast.Node, *, is_skipped: bool) -> Iterator[ast.Node]:
+    """Yields the variables, the parts of worlds and the joints that a statement may not look up."""
+    match node:
+        case ast.Query():
+            return
+        case ast.Call(name=name) if name in OVER_TIME and not is_skipped:
+            return
+        case ast.Call(name=name, arguments=(_, ast.Literal(value=str()))) if is_skipped:
+            if name in RELATIONS and RELATIONS[name].python_table == "joints":
+                yield node
+        case ast.Name() | ast.Index(base=ast.Name(), indices=(ast.Literal(), *_)) if is_skipped:
+            yield node
+            return
+    joins = isinstance(node, ast.If | ast.OperatorChain | ast.Binary)
+    for number, child in enumerate(node.children()):
+        yield from _skipped_places(child, is_skipped=is_skipped or (joins and number > 0))
+
+
+def _of_nothing(
+    place: ast.Node, texts: Collection[Any], scope: Scope
+) -> Iterator[SelectScriptError]:
+    match place:
+        case ast.Call(arguments=(owner, ast.Literal(value=str() as joint, span=span))):
+            entity = scope.entity(owner)
+            if entity is not None and not scope.names.has(entity.world, "joint", joint):
+                yield scope.names.error(joint, [entity.world], ["joint"], span)
+            return
+        case ast.Name(name=name):
+            may_come = name in texts
+        case ast.Index(base=ast.Name(name=name), indices=(ast.Literal(value=key), *_)):
+            world, key = scope.variable(name), str(key)
+            is_of_world = isinstance(world, World)
+            was_there = is_of_world and key not in world and scope.names.has(world, "entity", key)
+            may_come = key in texts or was_there or not (world is None or is_of_world)
+    if not may_come and name not in scope.local:
+        try:
+            scope.value(place)
+        except SelectScriptError as error:
+            yield error
 
 
 # -- names of entities ----------------------------------------------------------------------------

@@ -101,6 +101,7 @@ class Scope:
     finds: Callable[
         [ast.Query], bool | None
     ]  # checks whether a query has a row; None if it cannot run
+    value: Callable[[ast.Node], Any]  # returns the value of a variable or of a part of a world
     report: Callable[[SelectScriptError], None]  # warns of a mistake, once
     names: KnownNames  # the names of the parts of worlds
     # Whether the arguments of a relation and an entity are swapped, by their names.

@@ -1,5 +1,6 @@
 """Names that no entity or link has are told alike at every door."""
 
+import re
 import warnings
 from pathlib import Path
 
@@ -186,6 +187,40 @@ def test_names_and_kinds_in_programs(ss, program, message):
         return
     with pytest.raises(UnknownNameError, match=message):
         ss.eval(program)
+
+
+# (program whose first part decides, the message; None if there is none)
+DECIDED = [
+    (
+        "z(room.can) < 0 AND z(room.cna) > 0;",
+        "world 'room' has no entity 'cna'; did you mean 'can'",
+    ),
+    ("z(room.can) > 0 OR z(room['cna']) > 0;", "no entity 'cna'; did you mean 'can'"),
+    ("z(room.can) < 0 IMPLIES NOT z(room.cna) > 0;", "no entity 'cna'; did you mean 'can'"),
+    ("IF(z(room.can) > 0; 1; z(room.cna));", "no entity 'cna'; did you mean 'can'"),
+    ("z(room.can) < 0 AND z(rom.can) > 0;", "no variable 'rom'; did you mean 'room'"),
+    ("z(room.can) < 0 AND z(room.can.lnk0) > 0;", "'lnk0'"),
+    ("z(room.can) < 0 AND joint(room.can, 'hinge') > 0;", "no joint of room has the name 'hinge'"),
+    ("z(room.can) < 0 AND holds(z(room.cna) > 0) == [];", "no entity 'cna'; did you mean 'can'"),
+    ("z(room.can) < 0 AND z(room.can.link0) > dicts.mine;", None),
+    ("'ball' IN dicts AND z(room.ball) > 1;", None),  # it may come
+    ("IF(z(room.can) > 0; 1; new = 2, new);", None),
+]
+
+
+@pytest.mark.parametrize(("program", "message"), DECIDED)
+def test_names_that_the_value_does_not_need(ss, program, message):
+    ss.add_variable("dicts", {"kind": "mine"})
+    value = not program.startswith("z(room.can) < 0 AND")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            assert bool(ss.eval(program)) == (value and not program.startswith("'ball'"))
+    assert [message in str(one.message) for one in told] == [True] * (message is not None)
+    ss.strict = True
+    if message is not None:
+        with pytest.raises(SelectScriptError, match=re.escape(message)):
+            ss.add_trigger("watch", program, 0.1, print)
 
 
 # (condition on a link, whether there is such a one)
