@@ -14,7 +14,13 @@ from ssduck.formatting import short_repr, type_in_words
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
 from ssduck.interpreter.scalar_select import RepeatedSelect
 from ssduck.interpreter.signatures import TypeHints
-from ssduck.interpreter.sources import INLINE, all_elements, source_types, with_present_ticks
+from ssduck.interpreter.sources import (
+    INLINE,
+    all_elements,
+    source_type,
+    source_types,
+    with_present_ticks,
+)
 from ssduck.language import ast
 from ssduck.language.analysis import (
     aliases_of,
@@ -37,7 +43,7 @@ from ssduck.sql.sql_values import NotSqlError
 from ssduck.sql.subqueries import is_inline
 from ssduck.sql.translator import NotInlineError, translate
 from ssduck.sql.types import Signature, SqlType
-from ssduck.world.handles import Handle
+from ssduck.world.handles import Handle, Links
 from ssduck.world.world import World
 
 # The largest number of cached plans; when it is reached, all are dropped.
@@ -199,6 +205,8 @@ class Planner:
         """Runs a query by its plan."""
         types = self._types_in(frame)
         planned, values = self._plan_for(query, frame, types, purpose)
+        worlds = planned.plan.worlds
+        self._check_records(query, [types.value(node) for node in worlds if worlds[node]])
         if planned.skips_sql():
             raise SqlFailedError
         check(planned.columns)
@@ -281,6 +289,7 @@ class Planner:
         """
         for value in values:
             if isinstance(value, Past):
+                value.check()
                 value.record.warn_of_missing(tables_of(query))
             is_bound = isinstance(value, Past) and value.world in self._database.worlds.values()
             if is_bound and self._database.record_of(value.world) is not value.record:
@@ -372,13 +381,18 @@ class InterpreterTypes:
                 return _UNKNOWN  # becomes an error only if a row reaches it
         return sql_type_of(self._values[node], self._database.schema_of)
 
-    def world(self, node: ast.Node) -> str | None:
-        """Returns the schema of the world that a constant part is; None for other parts."""
+    def world(self, node: ast.Node) -> SourceType | None:
+        """Returns the type of the world, or its past, that a constant part is; None for others."""
         if not isinstance(node, ast.Name | ast.TimeIndex):
             return None
         self.sql_type(node)
         value = self._values.get(node)
-        return self._database.schema_of(value) if isinstance(value, World) else None
+        is_world = isinstance(value, World | Links | Past)
+        return source_type("", value, self._database.schema_of) if is_world else None
+
+    def value(self, node: ast.Node) -> Any:
+        """Returns the value of a constant part that has one."""
+        return self._values[node]
 
     def deferred(self, name: str) -> ast.Node | None:
         """Returns the list in a variable that the query evaluates; None for other values."""

@@ -379,8 +379,10 @@ def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> d
     """Returns the values of the SQL's parameters."""
     bound = {}
     for binding in plan.bindings:
-        if binding.source is not None and binding.end:
-            bound[binding.name] = getattr(sources[binding.source], binding.end)
+        if binding.end:
+            node, source = binding.node, binding.source
+            past = sources[str(source)] if node is None else _value_in(outer, node)
+            bound[binding.name] = getattr(past, binding.end)
         elif binding.source is not None:
             elements = elements_of(sources[binding.source])
             # Zeros stand for values for which SQL has no type.
@@ -391,9 +393,13 @@ def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> d
     return bound
 
 
+def _value_in(outer: Frame, node: ast.Node) -> Any:
+    return outer.cached[node] if node in outer.cached else outer.value(node)
+
+
 def _bound_value(outer: Frame, node: ast.Node, column: str | None) -> Any:
     try:
-        value = outer.cached[node] if node in outer.cached else outer.value(node)
+        value = _value_in(outer, node)
         return value.column(column) if column else to_sql(value)
     except SelectScriptError as error:  # an entity that was removed
         error.span = error.span or node.span

@@ -126,7 +126,7 @@ def source_types(
     """Returns the types of a query's sources."""
     aliases = aliases_of(query)
     return tuple(
-        _source_type(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
+        source_type(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
     )
 
 
@@ -137,7 +137,8 @@ class _Inline:
 INLINE = _Inline()
 
 
-def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
+def source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
+    """Returns the type of a source."""
     if value is INLINE:
         return SourceType(alias, has_values=False)
     if isinstance(value, World):

@@ -99,7 +99,8 @@ def _relation(sql: ExpressionScope, relation: Relation, node: ast.Call) -> SqlVa
         return SqlValue(None, replace(entity.sql_type, nullable=relation.name != "obj"), column)
     if relation.tables:
         ticks = sql.ticks.of(values.values())
-        if len(ticks) > 1 and sql.outer is None:  # a nested query goes on being a part of the SQL
+        is_cautious = sql.context.plan.purpose == "cautious"
+        if len(ticks) > 1 and (sql.outer is None or is_cautious):  # a nested query stays in the SQL
             sql.context.note_possible_failure()
         formula = in_world(relation, formula, values, ticks)
     result = expanded(formula, values, relation.link_name if has_links else None)

@@ -53,8 +53,11 @@ class TypeEnvironment(Protocol):
     def sql_type(self, node: ast.Node) -> SqlType:
         """Returns the type of the value of an expression that depends on no row of this query."""
 
-    def world(self, node: ast.Node) -> str | None:
-        """Returns the schema of the world that is the value of such an expression, if it is one."""
+    def world(self, node: ast.Node) -> SourceType | None:
+        """Returns the type of the world, or of its past, that is the value of such an expression.
+
+        None if it is neither.
+        """
 
     def deferred(self, name: str) -> ast.Node | None:
         """Returns the list in a variable that the query evaluates; None for other values."""
@@ -74,10 +77,10 @@ class ParameterBinding:
     """A parameter of the SQL."""
 
     name: str  # the name of the parameter
-    node: ast.Node | None = None  # the expression whose value it is; None for a source
+    node: ast.Node | None = None  # the expression whose value it is of; None for a source
     column: str | None = None  # the column of the entity that is the value of the expression
     source: str | None = None  # the source whose elements it lists
-    # The number of the source's past: its first or its last tick, or the id of its entity.
+    # The number of a past: its first or its last tick, or the id of its entity.
     end: Literal["", "first", "last", "id"] = ""
     sql_type: SqlType = field(default_factory=lambda: SqlType("list"))  # the type of the value
 
@@ -110,8 +113,8 @@ class Plan:
     tables: dict[str, str] = field(default_factory=dict)
     # The parts that do not depend on rows, with the types that the plan relies on.
     constants: dict[ast.Node, SqlType] = field(default_factory=dict)
-    # The schemas of the constants that are worlds.
-    worlds: dict[ast.Node, str | None] = field(default_factory=dict)
+    # The types of the constants that are sources of nested queries, if they are worlds.
+    worlds: dict[ast.Node, SourceType | None] = field(default_factory=dict)
     signatures: set[Signature] = field(default_factory=set)  # the users' functions that SQL calls
     # The SQL column of each part of the tree that has one.
     known: dict[ast.Node, OutputColumn] = field(default_factory=dict)

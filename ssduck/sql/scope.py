@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self
 
 from sqlglot import exp
 
@@ -15,14 +15,23 @@ from ssduck.language import ast
 from ssduck.language.analysis import IMPURE, OVER_TIME, free_aliases, is_impure
 from ssduck.language.builtins import BUILTINS
 from ssduck.schema import HISTORIES
-from ssduck.sql.from_clause import JoinedEntity, TickRange, joined_entity, pairs_over_ticks
+from ssduck.sql.from_clause import (
+    FromItem,
+    JoinedEntity,
+    TickRange,
+    column_of,
+    joined_entity,
+    pairs_over_ticks,
+    past_table,
+    present_table,
+)
 from ssduck.sql.operators import truth
-from ssduck.sql.plan import ParameterBinding
+from ssduck.sql.plan import ParameterBinding, SourceType
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
-from ssduck.sql.types import SqlType
+from ssduck.sql.types import INTEGER, SqlType
 
 
 class ExpressionScope(ABC):
@@ -159,6 +168,38 @@ class QueryTicks:
         self._parameters: dict[str, exp.Expr] = {}
         self.tick_ranges: dict[str, TickRange] = {}
         self.present: set[str] = set()
+
+    def past(self, source_type: SourceType, binding: ParameterBinding) -> FromItem:
+        """Returns the past of a world, under a name that no column can have.
+
+        Args:
+            source_type: its type.
+            binding: the binding of its parameters, without their ends.
+        """
+        name = self._context.alias(f"{source_type.alias} then")
+        schema, table = str(source_type.schema), source_type.table
+        if source_type.past_kind == "now":
+            self.present.add(column_of(name, "tick").sql())
+            return present_table(schema, name, table)
+
+        def end(kind: Literal["first", "last", "id"]) -> exp.Expr:
+            return self._context.parameter(kind, replace(binding, end=kind, sql_type=INTEGER))
+
+        first, last, id = end("first"), end("last"), None
+        if source_type.is_one_entity:
+            id = end("id")
+        if source_type.past_kind == "window":
+            tick = column_of(name, "tick")
+            self.tick_ranges[tick.sql()] = TickRange(schema, first, last, tick, id)
+        return past_table(schema, name, first, last, id, table)
+
+    def joins(self) -> Iterator[exp.Expr]:
+        """Joins sources that are several ticks of one world by their ticks."""
+        before: dict[str, exp.Expr] = {}
+        for span in self.tick_ranges.values():
+            if span.schema in before:
+                yield exp.EQ(this=before[span.schema].copy(), expression=span.tick.copy())
+            before[span.schema] = span.tick
 
     def join_entities(self, values: dict[str, SqlValue], *, at_one_tick: bool) -> None:
         """Joins the rows of handles at the tick of the entities at recorded ticks.
@@ -302,7 +343,12 @@ class QueryTicks:
     @property
     def has_past(self) -> bool:
         """Whether a source has rows of recorded ticks."""
-        return any(value.sql_type.past for value in self._all_rows())
+        return bool(self.past_worlds)
+
+    @property
+    def past_worlds(self) -> set[str | None]:
+        """The schemas of the worlds of which a source has rows of recorded ticks."""
+        return {value.sql_type.schema for value in self._all_rows() if value.sql_type.past}
 
     def _all_rows(self) -> list[SqlValue]:
         """Returns the current elements of all sources, those of outer queries first."""

@@ -15,7 +15,7 @@ from sqlglot import exp
 
 from ssduck.language import ast
 from ssduck.language.aggregates import is_grouped
-from ssduck.language.analysis import aliases_of, is_impure
+from ssduck.language.analysis import aliases_of, is_impure, sees_outside
 from ssduck.sql.from_clause import (
     FromItem,
     column_of,
@@ -357,8 +357,14 @@ def _rows(outer: ExpressionScope, query: ast.Query) -> Rows:
     inner = outer.inside()
     before = outer.context.possible_failures
     elements = [
-        element(outer, alias, source.value)
+        element(outer, alias, source.value, inner)
         for alias, source in zip(aliases, query.sources, strict=True)
+    ]
+    past = outer.ticks.past_worlds if sees_outside(query) else set()
+    past |= {entry.value.sql_type.schema for entry in elements if entry.value.sql_type.past}
+    elements = [
+        _beside_past(inner, alias, entry) if entry.value.sql_type.schema in past else entry
+        for alias, entry in zip(aliases, elements, strict=True)
     ]
     _bind(inner, aliases, [entry.value for entry in elements])
     rows = _subquery(inner, query, aliases, elements)
@@ -383,7 +389,7 @@ def _subquery(
 ) -> Subquery:
     resolved = resolve_in(inner, query, aliases)
     where = resolved.query.where
-    conditions = () if where is None else (inner.condition(where),)
+    conditions = (*inner.ticks.joins(), *(() if where is None else (inner.condition(where),)))
     items = _items(inner, resolved)
     order = ordered(inner, resolved.query.order)
     for entry in elements:
@@ -481,8 +487,23 @@ def _list_in(outer: ExpressionScope, node: ast.Node) -> ast.Node:
     return node
 
 
-def element(outer: ExpressionScope, alias: str, node: ast.Node) -> FromItem:
-    """Returns a source of a nested query: a world, a list, a query of its own.
+def _beside_past(inner: ExpressionScope, alias: str, entry: FromItem) -> FromItem:
+    """Returns a world as a source that stays at its current tick; other sources as they are."""
+    sql_type = entry.value.sql_type
+    if sql_type.past or not isinstance(entry.table, exp.Table):
+        return entry
+    present = SourceType(alias, sql_type.schema, past_kind="now", table=sql_type.table)
+    return inner.ticks.past(present, ParameterBinding(""))
+
+
+def element(outer: ExpressionScope, alias: str, node: ast.Node, inner: ExpressionScope) -> FromItem:
+    """Returns a source of a nested query: a world or its past, a list, a query of its own.
+
+    Args:
+        outer: the scope of its expression.
+        alias: its alias.
+        node: the source.
+        inner: the scope of the query.
 
     Raises:
         NotSqlError: SQL has no such source.
@@ -493,12 +514,14 @@ def element(outer: ExpressionScope, alias: str, node: ast.Node) -> FromItem:
         return _derived(outer, name, node)
     if not outer.is_constant(node):
         return unnested(name, outer.value(node))
-    schema = outer.context.plan.worlds.setdefault(node, outer.names.world(node))
-    if schema is not None:
-        return world_table(schema, name)
+    world = outer.context.plan.worlds.setdefault(node, outer.names.world(node))
+    if world is not None and world.past_kind:
+        return inner.ticks.past(replace(world, alias=alias), ParameterBinding("", node))
+    if world is not None:
+        return world_table(str(world.schema), name, world.table)
     sql_type = outer.context.constant_type(node)
-    inner = sql_type.element if sql_type.type == "list" else sql_type
-    if not sql_type.is_sql or inner is None or inner.type == "record":
+    of_elements = sql_type.element if sql_type.type == "list" else sql_type
+    if not sql_type.is_sql or of_elements is None or of_elements.type == "record":
         raise NotSqlError
     parameter = outer.context.parameter(alias, ParameterBinding("", node, sql_type=sql_type))
     values_sql = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")

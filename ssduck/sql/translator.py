@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Literal
 
 from sqlglot import exp
 
@@ -28,12 +27,8 @@ from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import (
     FromItem,
-    TickRange,
-    column_of,
     counted_rows,
     needed_joins,
-    past_table,
-    present_table,
     product_of,
     record_table,
     unnested,
@@ -54,10 +49,9 @@ from ssduck.sql.plan import (
 from ssduck.sql.recursive_cte import recursive_search
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementContext
-from ssduck.sql.types import INTEGER, SqlType
+from ssduck.sql.types import SqlType
 
 _MAX_ROWS = 2**62
-_ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
 
 
 class NotInlineError(Exception):
@@ -124,7 +118,7 @@ class _Translator:
         aggregated = is_aggregated(self.query, selected)
         check_one_group(self.query, selected)
         result = [condition for condition in conditions if condition is not None]
-        result.extend(self._tick_joins())
+        result.extend(self.sql.ticks.joins())
         is_reduced = aggregated or (self.query.distinct and not is_grouped(self.query))
         if is_reduced and not left and self._has_groups(result):
             return plan
@@ -179,11 +173,13 @@ class _Translator:
         """Returns a source as a table: the entities of a world, some of them, values, a query."""
         if not source_type.has_values:
             try:
-                return subqueries.element(Expressions(self.context), source_type.alias, node)
+                around = Expressions(self.context)
+                return subqueries.element(around, source_type.alias, node, self.sql)
             except NotSqlError as error:
                 raise NotInlineError(source_type.alias) from error
         if source_type.past_kind:
-            return self._past(source_type)
+            of_source = ParameterBinding("", source=source_type.alias)
+            return self.sql.ticks.past(source_type, of_source)
         name = self.context.alias(source_type.alias)
         if source_type.sql_type is None:
             assert source_type.schema is not None
@@ -201,42 +197,6 @@ class _Translator:
         if sql_type.element is None:
             return counted_rows(name, values_sql)
         return unnested(name, SqlValue(values_sql, sql_type))
-
-    def _past(self, source_type: SourceType) -> FromItem:
-        """Returns the past of a world, under a name that no column can have."""
-        name = self.context.alias(f"{source_type.alias} then")
-        assert source_type.schema is not None
-        if source_type.past_kind == "now":
-            self.sql.ticks.present.add(column_of(name, "tick").sql())
-            return present_table(source_type.schema, name, source_type.table)
-        first, last = (
-            self.context.parameter(
-                end, ParameterBinding("", source=source_type.alias, end=end, sql_type=INTEGER)
-            )
-            for end in _ENDS
-        )
-        id = None
-        if source_type.is_one_entity:
-            id = self.context.parameter(
-                "id", ParameterBinding("", source=source_type.alias, end="id", sql_type=INTEGER)
-            )
-        if source_type.past_kind == "window":
-            tick = column_of(name, "tick")
-            self.sql.ticks.tick_ranges[tick.sql()] = TickRange(
-                source_type.schema, first, last, tick, id
-            )
-        return past_table(source_type.schema, name, first, last, id, source_type.table)
-
-    def _tick_joins(self) -> Iterator[exp.Expr]:
-        """Joins sources that are several ticks of one world by their ticks."""
-        before: dict[str | None, exp.Expr] = {}
-        for source_type in self.result.source_types:
-            if source_type.past_kind == "window":
-                column = self.sql.rows[source_type.alias].column
-                assert column is not None
-                if source_type.schema in before:
-                    yield exp.EQ(this=before[source_type.schema].copy(), expression=column("tick"))
-                before[source_type.schema] = column("tick")
 
     def _known_source_types(self) -> list[SourceType]:
         return [

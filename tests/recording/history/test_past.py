@@ -335,6 +335,93 @@ def test_a_handle_in_a_nested_query_goes_with_the_row(fallen):
     assert fallen.eval(program) == [1.0, 1.0]
 
 
+# What nested queries about the past say, and what raw SQL says of the same.
+NESTED = [
+    (
+        "SELECT o.id, o.tick FROM o=lab{} WHERE EXISTS (SELECT p.this FROM p=lab WHERE p.z > o.z)",
+        "o WHERE EXISTS (FROM entities p WHERE p.z > o.z)",
+    ),
+    (
+        "SELECT o.id, o.tick FROM o=lab{} WHERE EXISTS "
+        "(SELECT p.this FROM p=lab{} WHERE p.this == o.this AND p.z > o.z + 0.1)",
+        "o WHERE EXISTS (FROM entities_history p WHERE p.id = o.id AND p.z > o.z + 0.1)",
+    ),
+    (
+        "SELECT o.id, o.tick FROM o=lab{-0.1} WHERE "
+        "count(SELECT p.this FROM p=lab{} WHERE p.time == o.time AND p.z > o.z AS list) > 1",
+        "o WHERE time > (SELECT max(time) FROM entities_history) - 0.101 AND "
+        "(SELECT count(*) FROM entities_history p WHERE p.tick = o.tick AND p.z > o.z) > 1",
+    ),
+    (
+        "SELECT o.id, o.tick FROM o=lab{} WHERE o.this IN "
+        "(SELECT p.this FROM p=lab{0.3}, q=lab{0.1} WHERE p.this == q.this AND p.z < o.z - 0.2 "
+        "AND p.z < q.z AS list)",
+        "o WHERE EXISTS (FROM entities_history p, entities_history q WHERE p.id = o.id "
+        "AND p.tick = (SELECT max(tick) FROM entities_history WHERE time < 0.301) "
+        "AND q.tick = (SELECT max(tick) FROM entities_history WHERE time < 0.101) "
+        "AND p.id = q.id AND p.z < o.z - 0.2 AND p.z < q.z)",
+    ),
+    (
+        "SELECT o.id, o.tick FROM o=lab{} WHERE o.tick % 60 == 1 AND count("
+        "SELECT p.z FROM p=lab{}, q=lab{}, now=lab WHERE p.z > o.z AND q.z < p.z "
+        "AND now.this == o.this AND now.z < o.z AS list) > 100",
+        "o WHERE tick % 60 = 1 AND (SELECT count(*) FROM entities_history p JOIN "
+        "entities_history q USING (tick), entities now WHERE p.z > o.z AND q.z < p.z "
+        "AND now.id = o.id AND now.z < o.z) > 100",
+    ),
+]
+
+
+@pytest.mark.parametrize(("program", "same"), NESTED)
+def test_nested_queries_about_the_past_are_sql(fallen, program, same):
+    assert "left to Python" not in fallen.explain(f"{program} AS list;")
+    found = fallen.eval(f"{program};")
+    assert 0 < len(found) < fallen.sql("SELECT count(*) FROM entities_history").fetchall()[0][0]
+    order = "ORDER BY tick, kind != 'sensor', id"
+    rows = fallen.sql(f"SELECT name, tick FROM entities_history {same} {order}").fetchall()
+    assert [tuple(row.values()) for row in found] == rows
+
+
+OF_PAIRS = [
+    "p.z > o.z",
+    "p.time == o.time AND p.z < o.z",
+    "p.this == o.this AND p.z > o.z",
+    "p.z >= z(ball) AND o.z > 0.5",
+    "p.z > 0.5",
+    "tick(p.this) == tick(o.this) AND near(p.this, o.this, 1)",
+]
+OF_ONE = [
+    "SELECT o.id FROM o=lab{{}} WHERE EXISTS (SELECT p.this FROM p={} WHERE {}) AS list;",
+    "SELECT o.id, (SELECT p.this, tick(p.this) FROM p={} WHERE {} AS list) FROM o=lab{{}};",
+    "SELECT o.id, count(SELECT p.this FROM p={}, q=lab{{}}, r=lab WHERE {} AND q.z < p.z "
+    "AND r.this == o.this AS list) FROM o=lab{{0.01}};",
+    "SELECT o.tick FROM o=(SELECT this FROM lab{{0.0}} AS list) WHERE o.this IN "
+    "(SELECT p.this FROM p={} WHERE {} AND EXISTS (SELECT r.this FROM r=lab WHERE r.z < p.z) "
+    "AS list) AS list;",
+]
+
+
+@pytest.fixture(scope="module")
+def started():
+    """Such a world after four steps."""
+    client, (body, _) = _falling()
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", ssduck.World.attach(client, names={0: "board", body: "ball"}))
+        _step(ss, 4)
+        ss.add_variable("ball", ss.call_variable("lab")["ball"])
+        yield ss
+    pybullet.disconnect(client)
+
+
+@pytest.mark.slow
+@sampled("condition", OF_PAIRS, every=3)
+@pytest.mark.parametrize("source", ["lab", "lab{}", "lab{0.01}"])
+def test_row_by_row_they_are_the_same(started, source, condition):
+    for program in OF_ONE:
+        as_sql, row_by_row = _both(started, program.format(source, condition))
+        assert repr(as_sql) == repr(row_by_row)
+
+
 @pytest.mark.slow
 def test_a_name_that_two_had():
     client, bodies = _falling(1)
