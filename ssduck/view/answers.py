@@ -9,7 +9,9 @@ import base64
 import io
 import time
 import warnings
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -352,13 +354,15 @@ class Answers:
 
     def _complete(self, question: dict[str, Any]) -> dict[str, Any]:
         text, language = text_of(question, "text"), language_of(question)
-        cursor = validation.integer(question.get("cursor"), "complete: cursor", minimum=0)
+        cursor, end = question.get("cursor"), _unit(text, len(text))
+        cursor = validation.integer(cursor, "complete: cursor", minimum=0, maximum=end)
         if len(text) > MAX_COMPLETED:
             return {"completions": []}
+        cursor = bisect_left(range(len(text)), cursor, key=partial(_unit, text))
         found = complete(self._source.mirror(_time(question)).interpreter, text, cursor, language)
         return {
             "completions": [
-                [each.text, each.start, each.kind, each.usage, each.about]
+                [each.text, _unit(text, each.start), each.kind, each.usage, each.about]
                 for each in found[:MAX_COMPLETIONS]
             ]
         }
@@ -440,16 +444,25 @@ def _picture(value: Any) -> str | None:
 
 def error_message(error: SelectScriptError) -> dict[str, Any]:
     """Returns an error with its place and suggestions, as a page shows it."""
-    span = error.span
+    text, span, column = error.text, error.span, error.column
+    start = end = None
+    if text is not None and span is not None and column is not None:
+        start, end = _unit(text, span.start), _unit(text, span.end)
+        column = start - _unit(text, span.start + 1 - column) + 1
     return {
         "type": type(error).__name__,
         "message": error.message,
         "suggestions": list(error.suggestions),
-        "start": None if span is None else span.start,
-        "end": None if span is None else span.end,
+        "start": start,
+        "end": end,
         "line": error.line,
-        "column": error.column,
+        "column": column,
     }
+
+
+def _unit(text: str, character: int) -> int:
+    """Returns a place in a text as JavaScript counts: in units of UTF-16, two for an emoji."""
+    return len(text[:character].encode("utf-16-le", "surrogatepass")) // 2
 
 
 def text_of(question: dict[str, Any], key: str) -> str:

@@ -6,6 +6,7 @@ import re
 import struct
 import urllib.error
 import urllib.request
+from functools import partial
 from pathlib import Path
 from socket import create_connection as socket_to
 from time import process_time
@@ -230,6 +231,23 @@ def test_names_are_completed(socket):
     text = "SELECT id(kitchen.frid"
     found = asked(socket, type="complete", text=text, cursor=len(text), language="selectscript")
     assert [each[0] for each in found["completions"]] == ["fridge", "fridge_webcam"]
+
+
+def test_places_are_counted_as_a_page_counts_them(socket):
+    """JavaScript's letters are the units of UTF-16: an emoji has two."""
+    before, after = "SELECT '😀é😀' AS a,\n'日😀' AS b, ", " FROM kitchen;"
+    units = partial(str.encode, encoding="utf-16-le")
+    text = f"{before}idd{after}"
+    error = asked(socket, type="ask", text=text)["error"]
+    assert units(text)[2 * error["start"] : 2 * error["end"]] == units("idd")
+    line = text.split("\n")[error["line"] - 1]
+    assert units(line)[2 * (error["column"] - 1) :] == units(f"idd{after}")
+    cursor = len(units(f"{before}idd")) // 2
+    found = asked(socket, type="complete", text=text, cursor=cursor)["completions"]
+    assert found[0][:2] == ["id", len(units(before)) // 2]
+    end = len(units(text)) // 2
+    assert "completions" in asked(socket, type="complete", text=text, cursor=end)
+    assert "error" in asked(socket, type="complete", text=text, cursor=end + 1)
 
 
 @pytest.mark.slow
