@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
@@ -158,9 +157,7 @@ def lint(
     """Tell of a condition that holds never, always, or at the first tick of each episode."""
     from ssduck.lakes.lake import Lake as Episodes
 
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "no answer: ")  # the error is told below
-        told = Episodes(path).lint(program_text(program, file), where)
+    told = Episodes(path).lint(program_text(program, file), where)
     for sentence in told:
         print_line(sentence)
     raise typer.Exit(1 if told else 0)

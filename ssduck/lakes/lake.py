@@ -31,7 +31,7 @@ from ssduck.errors import (
 from ssduck.gym.terms import Reward, Terms, WhereNaN
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, whole_table
 from ssduck.lakes.engines import Answerer, EngineName, How, engine_of, how_of
-from ssduck.lakes.lint import told_of, values_of
+from ssduck.lakes.lint import told_of
 from ssduck.lakes.manifest import (
     EpisodeEntry,
     named_errors,
@@ -40,7 +40,7 @@ from ssduck.lakes.manifest import (
     write_manifest,
 )
 from ssduck.lakes.pool import pools
-from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
+from ssduck.lakes.questions import ConditionQuestion, ProgramQuestion, Question, ScoreQuestion
 from ssduck.lakes.sandboxed import SandboxedLake, check_in_process
 from ssduck.lakes.scan import DUCKDB_SUFFIX, entries_of_records, missing, records_of
 from ssduck.lakes.statements import SqlDialect, statement
@@ -327,21 +327,41 @@ class Lake:
         question = ScoreQuestion(Terms.of(success, failure, reward, stop_when, nan=nan), limits)
         return whole_table(self._answered(question, where, how))
 
-    def lint(self, condition: str, where: str | None = None, **options: Any) -> list[str]:
+    def lint(
+        self,
+        condition: str,
+        where: str | None = None,
+        engine: EngineName = "local",
+        *,
+        limits: Limits | None = None,
+        strict: bool = False,
+        **arguments: Any,
+    ) -> list[str]:
         """Tells of a condition that never holds, always, or at the first tick of each episode.
 
         Args:
-            condition: an expression of SelectScript, as success is one.
+            condition: an expression of SelectScript, as success is one. One with a query inside is
+                asked at each tick, which takes longer.
             where: a condition on the columns of `episodes`; None for all episodes.
-            options: further arguments of `ask`.
+            engine: as in `ask`, like the further arguments.
+            limits: see there.
+            strict: see there.
+            arguments: see there.
 
         Returns:
             What is told of it, a sentence each; nothing of a condition that may well be meant.
 
         Raises:
             ArgumentError: it is no condition, or an argument is wrong.
+            SelectScriptError: it fails in all episodes; the message has the place.
         """
-        return told_of(condition, self.ask(values_of(condition), where, **options))
+        validation.text(condition, "lint takes a condition")
+        if limits is not None and limits.is_sandboxed:
+            with SandboxedLake(self.path, limits) as lake:
+                return lake.lint(condition, where, strict=strict, engine=engine, **arguments)
+        question = ConditionQuestion(condition, limits, validation.boolean(strict, "lint: strict"))
+        how = how_of("lint", engine, arguments)
+        return told_of(condition, list(self._answered(question, where, how)))
 
     def _answered(
         self, question: Question, where: str | None, how: How

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
@@ -68,16 +68,48 @@ class ProgramQuestion:
 
     def answering(self, interpreter: Interpreter) -> Answering:
         """Returns a function that answers about episodes; the program is compiled once."""
-        program: CompiledProgram = interpreter.compile(self.text)
+        program = replace(interpreter.compile(self.text), tree=self._tree)
 
         def answer(present: Interpreter, entry: EpisodeEntry) -> Any:
             try:
-                return plain(present.eval(program))
+                return plain(self._answer(present, program, entry))
             except UnknownNameError as error:
                 add_hint_of_episode(error, self._tree, entry)
                 raise
 
         return answer
+
+    def _answer(self, present: Interpreter, program: CompiledProgram, _: EpisodeEntry) -> Any:
+        return present.eval(program)
+
+
+class ConditionQuestion(ProgramQuestion):
+    """A condition; the answer has its values at the first tick and at changes, or at all ticks."""
+
+    @property
+    def key(self) -> str:
+        """What tells it from other questions."""
+        return f"condition {super().key}"
+
+    @property
+    def _tree(self) -> ast.Program:
+        tree = super()._tree
+        if len(tree.statements) != 1 or tree.explain:
+            raise ArgumentError(f"lint: {self.text!r} is to be one expression")
+        node = tree.statements[0]
+        call = ast.Call(node.span, "changes", (node,), node.span)
+        return replace(tree, statements=(call,)) if self._has_changes(node) else tree
+
+    def _has_changes(self, node: ast.Node) -> bool:
+        kinds = set(map(type, node.walk()))
+        return ast.Index in kinds and kinds.isdisjoint((ast.Query, ast.TimeIndex))
+
+    def _answer(self, present: Interpreter, program: CompiledProgram, entry: EpisodeEntry) -> Any:
+        if self._has_changes(program.tree.statements[0]):
+            return [value for _, value in present.eval(program)]
+        world = present[entry.world]
+        ticks = world.ticker.record.ticks.numbers.tolist()
+        return [present.eval(program) for tick in ticks if world.seek_tick(tick)]
 
 
 def add_hint_of_episode(error: UnknownNameError, program: ast.Program, entry: EpisodeEntry) -> None:

@@ -22,8 +22,8 @@ _ITS_OWN = ("engine", "processes", "batch", "resume", "options", "session", "lim
 class SandboxedLake:
     """The records below a folder, asked by a process that reads this folder and writes nothing.
 
-    It has `episodes`, `ask`, `score` and `sql` of `Lake`; one process answers, and no manifest is
-    written.
+    It has `episodes`, `ask`, `score`, `lint` and `sql` of `Lake`; one process answers, and no
+    manifest is written.
 
     Args:
         path: a folder with records in it, or a record.
@@ -65,6 +65,11 @@ class SandboxedLake:
         """Returns the score of each episode, as `Lake.score` does."""
         return self._ask("score", *terms, **options)
 
+    def lint(self, condition: str, where: str | None = None, **options: Any) -> list[str]:
+        """Tells of a condition that holds never, always, or at first, as `Lake.lint` does."""
+        told: list[str] = self._ask("lint", condition, where, **options)
+        return told
+
     def sql(self, program: str, where: str | None = None, dialect: str = "duckdb") -> str:
         """Returns one statement that answers a program of formulas, as `Lake.sql` does."""
         return str(self._ask("sql", program, where, dialect))
@@ -74,7 +79,7 @@ class SandboxedLake:
             if options.pop(name, None) not in (None, "local", True, 1):
                 raise UnsupportedError(f"{method}: {name}: one process of a sandbox answers")
         seconds = 0.0
-        if method in ("ask", "score"):
+        if method in ("ask", "lint", "score"):
             seconds = len(self.episodes) * (self._limits.seconds or 0.0)
         return self._ss.ask(f"lake.{method}", *arguments, seconds=seconds, **options)
 

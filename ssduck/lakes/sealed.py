@@ -27,6 +27,10 @@ class SealedLake:
         """Returns the answer of each episode to a program, as `Lake.ask` does."""
         return self._lake.ask(*arguments, **{**options, **self._options})
 
+    def lint(self, *arguments: Any, **options: Any) -> list[str]:
+        """Tells of a condition, as `Lake.lint` does."""
+        return self._lake.lint(*arguments, **{**options, **self._options})
+
     def score(self, *terms: Any, **options: Any) -> pa.Table:
         """Returns the score of each episode, as `Lake.score` does."""
         return self._lake.score(*terms, **{**options, **self._options})
