@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 
 import sqlglot
+from sqlglot.dialects.duckdb import DuckDB
 
 from ssduck.errors import SelectScriptError, SqlError, nearest
 from ssduck.interpreter.over_time.expansions import EXPANSIONS
@@ -40,6 +42,9 @@ _RESERVED = {
 }
 _CALLED = re.compile(rf"\b({'|'.join(_RESERVED)})\s*\(", re.IGNORECASE)
 _OWN_TABLES = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
+# The columns whose names are words of SQL.
+_QUOTED = {column.name for table in TABLES.values() for column in table.columns}
+_QUOTED &= DuckDB.Generator.RESERVED_KEYWORDS
 _NAMES = {name.lower(): name for name in RELATIONS}
 # A table or a world with the braces that the past has in SelectScript.
 _PAST = re.compile(r"\bFROM\s+[\w.\"]+\s*\{", re.IGNORECASE)
@@ -143,7 +148,8 @@ def _hint(message: str, sql: str, worlds: Mapping[str, World]) -> str:
     if message.startswith("Parser Error"):
         at = _SYNTAX.match(message)
         word = _WORDS.get(at.group(1).upper(), "") if at else ""
-        return word or _hint_of_world(message, sql, worlds) or _hint_of_syntax(sql)
+        hint = word or _hint_of_world(message, sql, worlds) or _hint_of_quotes(message, sql)
+        return hint or _hint_of_syntax(sql)
     if match := _TABLE.match(message):
         return _hint_of_table(match.group(1), message, worlds)
     if match := _COLUMN.search(message):
@@ -195,6 +201,19 @@ def _hint_of_world(message: str, sql: str, worlds: Collection[str]) -> str:
             (token,) = sqlglot.tokenize(world, read="duckdb")
             if match.group(1) != "." or token.token_type != sqlglot.TokenType.VAR:
                 return f'{world} is a word of SQL: write "{world}".{named.group(2)}'
+    return ""
+
+
+def _hint_of_quotes(message: str, sql: str) -> str:
+    """Returns the hint for a column whose name is a word of SQL, at the error or before it."""
+    if match := _SYNTAX.match(message):
+        with suppress(sqlglot.TokenError):
+            tokens = sqlglot.tokenize(sql, read="duckdb")
+            for token, after in zip(tokens, [*tokens[1:], tokens[-1]], strict=True):
+                is_at = token.text == match[1] or after.text.startswith(match[1])
+                is_bare = token.token_type == sqlglot.TokenType.VAR
+                if is_at and is_bare and token.text.lower() in _QUOTED:
+                    return f'{token.text} is a word of SQL: write "{token.text}"'
     return ""
 
 

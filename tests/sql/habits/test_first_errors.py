@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import ssduck
 from ssduck.errors import EvaluationError, ProgramWarning, SelectScriptError, SqlError
 from ssduck.language.sql_suggestions import suggestion_for_name
+from ssduck.schema import TABLES
 
 XML = """
 <mujoco>
@@ -52,6 +53,10 @@ OF_SQL = [
     ("SELECT on(a, b) FROM entities a, entities b", "on is a word of SQL: write onTop(…)"),
     ("SELECT position(e) FROM entities e", "position is a word of SQL: write positionOf(…)"),
     ("SELECT time(e) FROM entities e", "time is a word of SQL: write timeOf(…)"),
+    ("SELECT bx, by, bz FROM contacts", 'by is a word of SQL: write "by"'),
+    ("SELECT a FROM contacts ORDER BY by", 'by is a word of SQL: write "by"'),
+    ("SELECT a FROM contacts WHERE by > 0 GROUP BY a", 'by is a word of SQL: write "by"'),
+    ("SELECT BY GROUP BY a", 'BY is a word of SQL: write "BY"'),
     ("SELECT * FROM entities WHERE id = 'cube'", "their names are in the column name: WHERE name"),
     (
         "SELECT name FROM entities WHERE near(name, 'table', .1)",
@@ -111,6 +116,9 @@ def test_raw_sql_says_what_to_write(ss, sql, told):
     "sql",
     [
         "SELECT FROM WHERE",
+        "SELECT a FROM contacts ORDER BY )",
+        'SELECT c.by, "by" FROM contacts c WHERE',
+        "SELECT by, $$",
         "SELECT nothing FROM entities",
         "SELECT x FROM entities a, entities b",
         "SELECT speed(z) FROM entities",
@@ -121,6 +129,18 @@ def test_other_errors_of_sql_have_no_such_hint(ss, sql):
         ss.sql(sql)
     assert "SelectScript" not in str(caught.value)
     assert "row" not in str(caught.value)
+    assert "word of SQL" not in str(caught.value)
+
+
+def test_each_column_that_has_to_be_quoted_is_told_of(ss):
+    names = {name for table in TABLES.values() for name in table.names}
+    for name in names:
+        sql = f'SELECT {{}} FROM (SELECT 1 AS "{name}")'
+        assert ss.sql(sql.format(f'"{name}"')).fetchall() == [(1,)]
+        try:
+            ss.sql(sql.format(name))
+        except SelectScriptError as error:
+            assert str(error).endswith(f'{name} is a word of SQL: write "{name}"')
 
 
 @pytest.mark.parametrize("name", ["order", "join", "table"])
