@@ -343,6 +343,7 @@ def import_(
     """
     from ssduck.interchange.conversion import import_poses
 
+    output = expand_path(output)
     for episode in import_poses(source, output, world=world, rate=rate):
         ticks = f"{count_of(episode.ticks, 'tick')} of {episode.world!r}"
         print_line(f"{ticks}: episode {episode.number} in {output}")

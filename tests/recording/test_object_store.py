@@ -10,6 +10,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from ssduck.interchange.lerobot import write_dataset
+from ssduck.interchange.motion import motion_of
 from ssduck.recording import folder_episodes
 from ssduck.recording.folder_episodes import runs_in
 from ssduck.recording.paths import expand_path, is_record
@@ -17,7 +19,7 @@ from ssduck.recording.stores import descriptions, object_store, parquet
 from ssduck.recording.stores.object_store import ObjectPath, change_object, create_object
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
-from tests.support.command_line import answer, write_scene
+from tests.support.command_line import answer, ssduck_, write_scene
 from tests.support.forged import flip_bit
 from tests.support.recorded import ALL, PAST, end_part, lively, rows
 from tests.support.s3_server import s3_server
@@ -150,6 +152,7 @@ def test_an_export_that_fails_leaves_no_episode(places, monkeypatch):
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("default")  # the commands write them
 def test_the_commands_take_addresses(places, tmp_path):
     remote, _ = places
     assert "task=drop" in answer("episodes", remote)
@@ -160,6 +163,10 @@ def test_the_commands_take_addresses(places, tmp_path):
     scene = str(write_scene(tmp_path) / "two.toml")
     answer("record", scene, "--seconds", "0.02", "--tables", "entities", "-o", "s3://lake/k")
     assert ssduck.episodes("s3://lake/k")[0].ticks == 3
+    poses = write_dataset(tmp_path / "d", [motion_of(runs_in(expand_path(remote))[0])])
+    told = ssduck_("import", str(poses), "-o", "s3://lake/imported").stdout
+    (imported,) = ssduck.episodes("s3://lake/imported")
+    assert told == f"{imported.ticks} ticks of 'lab': episode 0 in s3://lake/imported\n"
 
 
 @pytest.mark.slow
