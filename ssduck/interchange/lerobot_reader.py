@@ -28,7 +28,8 @@ from ssduck.schema import POSE
 # The fewest and the most frames per second that stand for any.
 _FPS = (1e-6, 1e6)
 # The columns of `meta/episodes` that are read; others have the statistics of features.
-_LISTED = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_index", "ssduck/tags")
+_OWN = ("ssduck/tags", "ssduck/world")
+_LISTED = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_index", *_OWN)
 # So many names of a feature that are not read are told of.
 _TOLD = 8
 # How far a timestamp may be from its frame, s, as LeRobot has it; and a float of 32 bits, relative.
@@ -83,6 +84,7 @@ class _Dataset:
             frames = self._frames_of(episode, number, sorted(used), fps)
             task, others = self._tasks(episode, number)
             about = {"task": task, "tags": json.loads(episode.get("ssduck/tags") or "{}")}
+            about["world"] = episode.get("ssduck/world")
             told = [
                 *unread,
                 *(f"the task {short_repr(each)} of episode {number}" for each in others),

@@ -124,7 +124,8 @@ def test_statistics_are_those_of_the_frames(dataset):
 @pytest.mark.slow
 def test_a_dataset_is_imported_again(record, dataset, tmp_path):
     with pytest.warns(UserWarning, match="has no shapes.*; not read: observation.state"):
-        episodes = ssduck.import_poses(dataset, tmp_path / "r", world="lab")
+        episodes = ssduck.import_poses(dataset, tmp_path / "r")
+    assert [episode.world for episode in episodes] == ["lab", "lab"]  # as it was recorded
     assert [episode.tags for episode in episodes] == [
         {"task": "drop", "success": True},
         {"task": "swing", "success": False},
