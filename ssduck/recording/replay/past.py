@@ -54,7 +54,8 @@ def past_of(record: Record, age: float | None, now: int | None = None) -> Past:
             )
         return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
     advice = record.dropped_ticks_message or _binding_message(record, int(numbers[0]))
-    tick = int(numbers[index_at(name, age, times, time, advice)])
+    end = float(record.ticks.times[-1])
+    tick = int(numbers[index_at(name, age, times, time, advice, end)])
     return Past(record, tick, tick, is_window=False)
 
 

@@ -356,13 +356,17 @@ class Record:
             return self._row_cache.rows(table, tick)
 
 
-def index_at(world: str, time: float, times: Array, now: float, advice: str = "") -> int:
-    """Returns the index of the last tick until a time."""
+def index_at(
+    world: str, time: float, times: Array, now: float, advice: str = "", end: float = -np.inf
+) -> int:
+    """Returns the index of the last tick until a time; later ones are recorded until `end`."""
     place = int(np.searchsorted(times, time + TIME_TOLERANCE, side="right")) - 1
     if place < 0 or time > max(now, float(times[-1])) + TIME_TOLERANCE:
+        is_later = place >= 0 and time <= end + TIME_TOLERANCE
         raise EvaluationError(
-            f"{world!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is no tick at "
-            f"{time:g} s{advice if place < 0 else ''}"
+            f"{world!r} is recorded from {times[0]:g} s to {max(end, float(times[-1])):g} s; "
+            f"{f'at {now:g} s ' if is_later else ''}there is no tick at {time:g} s"
+            f"{' yet' if is_later else advice if place < 0 else ''}"
         )
     return place
 

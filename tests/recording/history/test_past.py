@@ -483,3 +483,14 @@ def test_what_is_no_argument(falling, call, told):
     falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
     with pytest.raises(ArgumentError, match=told):
         call(falling)
+
+
+def test_a_tick_that_is_recorded_later_is_told_of_with_the_whole_record(falling):
+    _step(falling, 20)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    end = falling.past("lab").times[-1]
+    told = f"'lab' is recorded from 0 s to {end:g} s; at 0 s there is no tick at {end:g} s yet"
+    with pytest.raises(EvaluationError, match=told):
+        falling.eval(f"holds(at({end}, z(ball)) < z(ball));")
+    with pytest.raises(EvaluationError, match=f"to {end:g} s; there is no tick at 9 s"):
+        falling.eval("holds(at(9.0, z(ball)) < z(ball));")
