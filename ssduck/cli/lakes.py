@@ -31,7 +31,8 @@ Dialect: TypeAlias = Literal["duckdb", "spark"]
 Lake = Annotated[
     str,
     typer.Argument(
-        metavar="LAKE", help="A folder with records at any depth, a record, or a pattern of paths."
+        metavar="LAKE",
+        help="A folder with records at any depth, a record, a pattern of paths, or s3://BUCKET/PATH.",
     ),
 ]
 Where = Annotated[
