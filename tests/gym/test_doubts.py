@@ -1,7 +1,5 @@
 """Terms that cannot be meant are told of: at construction, and after some episodes."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """MuJoCo's poses lag its joint positions by a step: a warning where a flag depends on which it sees."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Functions of time in each other, and of elements of lists: live, scored, asked of a lake."""
 
-from __future__ import annotations
-
 import math
 
 import gymnasium

@@ -1,7 +1,5 @@
 """The README's picture of an environment is what its tool draws."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

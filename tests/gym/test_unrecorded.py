@@ -1,7 +1,5 @@
 """Terms whose functions of time follow from tick to tick need no record of the episode."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pybullet

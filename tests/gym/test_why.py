@@ -1,7 +1,5 @@
 """The end of an episode tells which part of success is false, if that is asked for."""
 
-from __future__ import annotations
-
 import gymnasium
 import pytest
 

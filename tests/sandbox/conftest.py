@@ -1,7 +1,5 @@
 """A zygote for all tests of a process, whose workers run Python of tests, too."""
 
-from __future__ import annotations
-
 import pytest
 
 from ssduck.limits import Limits

@@ -1,7 +1,5 @@
 """Answers of a sandbox equal those of an interpreter in this process."""
 
-from __future__ import annotations
-
 import datetime as dt
 import pickle
 from decimal import Decimal

@@ -1,7 +1,5 @@
 """A sandbox has its effects, shown by probes, and says which one is missing."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

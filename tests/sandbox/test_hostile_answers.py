@@ -1,7 +1,5 @@
 """What a worker that was taken over sends is data, of a bounded size, or an error."""
 
-from __future__ import annotations
-
 import gc
 import json
 import resource

@@ -1,7 +1,5 @@
 """Programs and SQL of strangers: each is answered, refused or ended, and the next is answered."""
 
-from __future__ import annotations
-
 import resource
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Processes of sandboxes end when they are to, and their hosts go on."""
 
-from __future__ import annotations
-
 import os
 import random
 import resource

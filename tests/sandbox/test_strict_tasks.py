@@ -1,7 +1,5 @@
 """Tasks of strangers: the whole environment is in a sandbox."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium

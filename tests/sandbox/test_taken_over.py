@@ -1,7 +1,5 @@
 """Python that runs in a worker, as if a stranger had taken it over, reaches nothing."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket

@@ -1,7 +1,5 @@
 """Scenes of the tests of simulators."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

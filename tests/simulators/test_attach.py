@@ -1,7 +1,5 @@
 """A client that the user made and goes on using: bodies come, go and move behind ssduck's back."""
 
-from __future__ import annotations
-
 import gc
 import warnings
 

@@ -1,7 +1,5 @@
 """The time of a client that its owner steps: it goes on with each tick, by the client's time step."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

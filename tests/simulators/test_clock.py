@@ -1,7 +1,5 @@
 """Simulated time is the number that a user writes for it, against the quotients of whole numbers."""
 
-from __future__ import annotations
-
 import math
 
 import pybullet

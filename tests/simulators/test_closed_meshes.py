@@ -1,7 +1,5 @@
 """Closed concave meshes: surfaces to PyBullet, solids to ssduck, which tells of what is in one."""
 
-from __future__ import annotations
-
 import pybullet
 import pybullet_data
 import pytest

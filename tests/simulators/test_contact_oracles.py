@@ -1,7 +1,5 @@
 """Contacts equal a loop over the simulators' own getters, by point, force and distance, at each step."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 
 import mujoco

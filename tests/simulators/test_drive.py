@@ -1,7 +1,5 @@
 """Motors of joints: `Entity.drive`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

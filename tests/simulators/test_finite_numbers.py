@@ -1,7 +1,5 @@
 """Numbers of shapes and poses that are not finite in PyBullet are errors, not boxes of NaN."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes from elsewhere: what is wrong with them is a SceneError."""
 
-from __future__ import annotations
-
 import pytest
 
 import ssduck

@@ -1,7 +1,5 @@
 """Bodies that hold others by a fixed constraint: `Entity.hold` and `Entity.release`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

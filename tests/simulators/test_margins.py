@@ -1,7 +1,5 @@
 """Collision margins that change in a simulation: `changeDynamics`, seen at the next tick."""
 
-from __future__ import annotations
-
 import warnings
 
 import pybullet

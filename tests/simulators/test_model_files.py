@@ -1,7 +1,5 @@
 """SDF and MJCF files in scenes, compared with the same files loaded into PyBullet by hand."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from xml.etree import ElementTree as ET

@@ -1,7 +1,5 @@
 """Model files that PyBullet reads otherwise than they say, or not: repaired, warned of, or refused."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

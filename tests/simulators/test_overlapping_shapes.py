@@ -1,7 +1,5 @@
 """Compounds whose shapes overlap: `inside` counts the common part twice, and says so once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

@@ -1,7 +1,5 @@
 """Primitives and the floor of scene files, compared with bodies that PyBullet is told to make."""
 
-from __future__ import annotations
-
 import pybullet
 import pytest
 

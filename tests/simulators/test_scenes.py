@@ -1,7 +1,5 @@
 """Scene files: what they say, and what is said of a wrong one: file, key, reason, nearest name."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Poses of SDF files: what PyBullet reads otherwise is put right, compared with SciPy's rotations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 import pytest

@@ -1,7 +1,5 @@
 """Poses, velocities, boxes and joints are PyBullet's."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

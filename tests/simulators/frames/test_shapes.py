@@ -1,7 +1,5 @@
 """Shapes are PyBullet's."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

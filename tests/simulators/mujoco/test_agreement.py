@@ -1,7 +1,5 @@
 """The same scenes in MuJoCo and in PyBullet: every relation has the same answers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 The oracle is MuJoCo's own list, as `check_contact` of the benchmarks reads it.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import mujoco

@@ -3,8 +3,6 @@
 The oracle is MuJoCo: a contact presses if it is among the constraints.
 """
 
-from __future__ import annotations
-
 import mujoco
 import pytest
 

@@ -1,7 +1,5 @@
 """MuJoCo loads scenes of URDF files and primitives as PyBullet does, which may not be installed."""
 
-from __future__ import annotations
-
 import math
 import sys
 

@@ -1,7 +1,5 @@
 """Sites of MuJoCo: their poses are MuJoCo's, and relations take their regions as shapes."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
