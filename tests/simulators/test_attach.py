@@ -212,14 +212,6 @@ def test_names_and_kinds_that_bodies_cannot_have(client, make, arguments, error,
         ssduck.World.attach(client, **arguments)
 
 
-def test_closing_leaves_the_users_client_connected(client, make):
-    make()
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("sim", ssduck.World.attach(client))
-    assert pybullet.isConnected(client)
-    assert pybullet.getNumBodies(client) == 1
-
-
 def test_names_are_made_unique_whatever_they_end_in(client, tmp_path):
     for number, name in enumerate(("box", "box_2", "box", "box", "box_2")):
         file = tmp_path / f"{number}.urdf"

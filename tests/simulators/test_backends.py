@@ -11,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck import Interpreter, World
-from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError
+from ssduck.errors import ArgumentError, SceneError, UnsupportedError
 from ssduck.geometry.poses import IDENTITY
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.backends import BACKENDS, Backend, drawn_shapes
@@ -190,9 +190,3 @@ def test_a_world_is_loaded_of_a_scene_that_its_simulator_has(backend):
         World.load("kitchen")
     with pytest.raises(SceneError, match="there is no body 'fridge' for the sensor"):
         World.load(find_scene("kitchen"), simulator="two_boxes")
-
-
-def test_an_unknown_simulator_comes_with_the_nearest_names(tmp_path):
-    with pytest.raises(UnknownNameError) as caught:
-        World.load(Scene("boxes", tmp_path / "scene.toml"), simulator="pybulet")
-    assert caught.value.suggestions == ("pybullet",)

@@ -1,7 +1,6 @@
 """Motors of joints: `Entity.drive`."""
 
 import numpy as np
-import pybullet
 import pytest
 
 import ssduck
@@ -143,15 +142,9 @@ def test_who_has_no_motors(crane):
         SelectScriptError, match="is a sensor; drive the body that it is mounted on"
     ):
         sensor.drive({"lift": 0.1})
-
-
-def test_a_removed_body_is_not_driven(client):
-    body = pybullet.createMultiBody(1, physicsClientId=client)
-    world = ssduck.World.attach(client)
-    (entity,) = world
-    pybullet.removeBody(body, client)
+    crane.world.remove("crane")
     with pytest.raises(RemovedEntityError):
-        entity.drive({})
+        crane.drive({})
 
 
 @pytest.mark.slow

@@ -77,11 +77,6 @@ def test_what_is_held_goes_where_the_hand_goes(yard):
     assert ball.position[2] < before[2] + 0.4  # it falls
 
 
-def test_without_holding_it_falls(yard):
-    yard.step(60)
-    assert yard["ball"].position[2] < 0.7
-
-
 @pytest.mark.parametrize(
     ("aside", "touching", "held"),
     [

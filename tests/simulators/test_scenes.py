@@ -445,7 +445,10 @@ BROKEN = [
 
 @pytest.mark.parametrize(("text", "words"), BROKEN)
 def test_a_model_that_cannot_be_loaded(scene, write, capfd, text, words):
-    """PyBullet says on the terminal what is wrong: it is said in the error instead."""
+    """PyBullet says on the terminal what is wrong: it is said in the error instead.
+
+    The terminal speaks again afterwards.
+    """
     write("broken.urdf", text)
     path = scene(
         '[[body]]\nname = "a"\nurdf = "cup.urdf"\n[[body]]\nname = "b"\nurdf = "broken.urdf"'
@@ -458,6 +461,9 @@ def test_a_model_that_cannot_be_loaded(scene, write, capfd, text, words):
     assert words in error.message
     assert "\n" not in error.message
     assert capfd.readouterr() == ("", "")
+    os.write(1, b"out\n")
+    os.write(2, b"err\n")
+    assert capfd.readouterr() == ("out\n", "err\n")
 
 
 def test_a_scene_that_fails_leaves_no_client_and_no_descriptor_behind(scene):
@@ -471,14 +477,6 @@ def test_a_scene_that_fails_leaves_no_client_and_no_descriptor_behind(scene):
     for _ in range(5):
         failure(lambda: ssduck.World.load(find_scene(path)))
     assert left() == before
-
-
-def test_the_terminal_speaks_again_after_a_failure(scene, write, capfd):
-    write("broken.urdf", "no XML")
-    failure(lambda: ssduck.load(scene('[[body]]\nname = "b"\nurdf = "broken.urdf"')))
-    os.write(1, b"out\n")
-    os.write(2, b"err\n")
-    assert capfd.readouterr() == ("out\n", "err\n")
 
 
 # -- finding scenes ----------------------------------------------------------------------------

@@ -72,11 +72,6 @@ def same(first, second):
     return first == pytest.approx(second, abs=1e-6)
 
 
-def test_the_pose_of_the_base_link(links):
-    found = links(posed(sdf_link("base"), words(BASE)))
-    assert same(found["base"], frame(MODEL) @ frame(BASE))
-
-
 def test_the_base_link_may_come_last(links):
     arm, base = posed(sdf_link("arm"), words(ARM)), posed(sdf_link("base"), words(BASE))
     found = links(arm, base, hinge())

@@ -1,10 +1,6 @@
 """A loop that forgets `tick` is told at each query of a tick left behind, once in each place."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable
-from typing import Any
 
 import pybullet
 import pytest
@@ -15,7 +11,7 @@ from tests.support.bodies import solid
 from tests.support.urdf import joint, link, robot
 from tests.support.warned import heard
 
-QUERIES: list[tuple[str, Callable[[ssduck.Interpreter], Any]]] = [
+QUERIES = [
     ("program", lambda ss: ss.eval("SELECT id, z FROM sim;")),
     ("handle", lambda ss: ss.eval("z(ball);")),
     ("sql", lambda ss: ss.sql("SELECT z FROM entities").fetchall()),
@@ -119,7 +115,7 @@ def test_what_a_loop_changes_in_mujoco(change):
                 environment.data.qpos[0] = 2
                 mujoco.mj_forward(environment.model, environment.data)
             case _:
-                environment.__init__()  # type: ignore[misc]
+                environment.__init__()
         assert len(warned(lambda: ss.eval("z(sim.a);"))) == 1
         world.tick()
         assert warned(lambda: ss.eval("z(sim.a);")) == []
@@ -219,14 +215,14 @@ def other(sim):
     pybullet.disconnect(client)
 
 
-OF_SIM: list[Callable[[ssduck.Interpreter], Any]] = [
+OF_SIM = [
     lambda ss: ss.eval("SELECT id, z FROM sim;"),
     lambda ss: ss.eval("z(ball);"),
     lambda ss: ss.eval("holds(z(sim.ball) > 0);"),
     lambda ss: ss.sql("SELECT z FROM sim.entities").fetchall(),
     lambda ss: ss.sql("SELECT z FROM entities").fetchall(),
 ]
-OF_OTHER: list[Callable[[ssduck.Interpreter], Any]] = [
+OF_OTHER = [
     lambda ss: ss.eval("SELECT id, z FROM other;"),
     lambda ss: ss.eval("z(other.egg);"),
     lambda ss: ss.eval("holds(z(other.egg) > 0);"),
@@ -244,7 +240,7 @@ def test_only_worlds_that_a_query_reads_are_compared(client, other, sim, *, is_f
     pybullet.stepSimulation(client if is_first else other)
     reading, not_reading = (OF_SIM, OF_OTHER) if is_first else (OF_OTHER, OF_SIM)
     for query in not_reading:
-        assert warned(lambda query=query: query(ss)) == []  # type: ignore[misc]
+        assert warned(lambda query=query: query(ss)) == []
     messages = warned(lambda: [query(ss) for query in reading])
     assert len(messages) == len(reading)
     assert all(message.startswith("sim:" if is_first else "other:") for message in messages)

@@ -58,12 +58,7 @@ def test_link_frames_are_pybullets(client, body):
     assert poses[0, :3] == pytest.approx(position, abs=1e-12)
     assert same_turn(poses[:1, 3:], turn.as_quat()[None], tolerance=1e-12)
     assert np.linalg.norm(poses[:, 3:], axis=1) == pytest.approx(np.ones(len(poses)), abs=1e-9)
-
-
-@pytest.mark.slow
-def test_an_entity_is_where_its_base_is(client, body):
-    world = asked(ssduck.World.attach(client), "links")
-    columns = POSE + TWIST
+    columns = POSE + TWIST  # an entity is where its base is
     assert rows(world, "entities", columns).tolist() == rows(world, "links", columns)[:1].tolist()
 
 
@@ -79,27 +74,6 @@ def test_velocities_are_those_of_the_link_frames_origins(client, body):
     found = rows(world, "links", TWIST)
     assert found == pytest.approx(np.array(expected), abs=1e-5)
     assert found[0] == pytest.approx(expected[0], abs=1e-12)
-
-
-def test_velocities_are_the_change_of_positions(client, write):
-    """Over so short a step, in free fall without gravity, nothing else can be seen."""
-    step = 1e-6
-    pybullet.setTimeStep(step, client)
-    arm = pybullet.loadURDF(str(write("arm.urdf", ARM)), physicsClientId=client)
-    unsettle(client, arm, seed=3)
-    for index in range(pybullet.getNumJoints(arm, client)):
-        pybullet.setJointMotorControl2(
-            arm, index, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
-        )
-    world = asked(ssduck.World.attach(client), "links")
-    before = rows(world, "links", POSE + TWIST)
-    after = rows(world.step(), "links", POSE + TWIST)
-    moved = (after[:, :3] - before[:, :3]) / step
-    assert np.abs(after[:, 7:10]).min(axis=0).max() > 0.1  # it does move
-    assert moved == pytest.approx(after[:, 7:10], abs=1e-4)
-    first, second = (Rotation.from_quat(np.roll(r[:, 3:7], -1, axis=1)) for r in (before, after))
-    turning = (second * first.inv()).as_rotvec() / step
-    assert turning == pytest.approx(after[:, 10:], abs=1e-3)
 
 
 # -- boxes ---------------------------------------------------------------------------------------
@@ -143,20 +117,6 @@ def test_boxes_are_those_of_all_vertices_of_the_files(client, model):
     assert rows(world, "entities", LOW + HIGH)[0] == pytest.approx(
         np.concatenate((every.min(axis=0), every.max(axis=0))), abs=SINGLE
     )
-
-
-@pytest.mark.slow
-def test_boxes_lie_within_pybullets_padded_ones(client, body):
-    world = asked(ssduck.World.attach(client), "links")
-    boxes = rows(world, "links", LOW + HIGH)
-    shaped = {shape.frame for shape in world.snapshot.entities[0].body.shapes}
-    assert shaped
-    for number in shaped:
-        box = boxes[number]
-        low, high = pybullet.getAABB(body, number - 1, client)
-        # PyBullet computes in single precision, and rounds the corners of hulls.
-        assert np.all(np.array(low) <= box[:3] + 1e-3)
-        assert np.all(np.array(high) >= box[3:] - 1e-3)
 
 
 SHAPES = [

@@ -169,14 +169,11 @@ def test_rays_pass_through_a_disabled_body(yard):
         orientation=(0.5**0.5, 0, 0.5**0.5, 0),
         max_range=5.0,
     )
-
     ss = ssduck.Interpreter()
     ss.add_variable("yard", yard)
-    assert ss.eval("SELECT id FROM yard WHERE isSensing(yard.eye, this) AS list;") == ["lid"]
-    yard["lid"].enabled = False
-    assert ss.eval("SELECT id FROM yard WHERE isSensing(yard.eye, this) AS list;") == ["crate"]
-    yard["lid"].enabled = True
-    assert ss.eval("SELECT id FROM yard WHERE isSensing(yard.eye, this) AS list;") == ["lid"]
+    for is_enabled, seen in ((True, "lid"), (False, "crate"), (True, "lid")):
+        yard["lid"].enabled = is_enabled
+        assert ss.eval("SELECT id FROM yard WHERE isSensing(yard.eye, this) AS list;") == [seen]
 
 
 def test_a_hidden_body_is_transparent_and_collides(yard):
