@@ -9,7 +9,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SimulatorError
-from ssduck.schema import FRAMES, HISTORIES, MODELS, RECORDED, STORED_TABLES, TABLES
+from ssduck.schema import FRAMES, HISTORIES, RECORDED, STORED_TABLES, TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from tests.support.spy import Spy
 from tests.support.stage import Stage
@@ -229,18 +229,6 @@ def test_a_simulation_that_exploded_is_told_of_and_nothing_else_is(
     assert {**other, "tick": 0} == {**sane, "tick": 0}
 
 
-def test_a_failed_read_leaves_the_last_tick_whole(client):
-    scene(client)
-    world = ssduck.World.attach(client)
-    world.request_tables(["links", "contacts"])
-    before = columns(world, *STORED_TABLES)
-    pybullet.disconnect(client)
-    for act in (world.tick, world.step):
-        with pytest.raises(SimulatorError, match="disconnected"):
-            act()
-    assert columns(world, *STORED_TABLES) == before
-
-
 @pytest.mark.parametrize("broken", ["frames", "joints", "contacts"])
 def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
     """Even if bodies came and went before it."""
@@ -307,29 +295,6 @@ def test_a_table_names_the_functions_that_fill_it(name):
         package, module, *parts = path.split(".")
         home = import_module(f"ssduck.{package}.{module}")
         assert callable(reduce(getattr, parts, home))
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_the_columns_of_a_table_are_declared_once(name):
-    table = ALL[name]
-    names = [column.name for column in table.all_columns]
-    assert len(set(names)) == len(names)
-    assert {*table.key, *table.entity_columns} <= set(names)
-
-
-@pytest.mark.parametrize("name", RECORDED)
-def test_rows_of_ticks_begin_with_the_tick_and_its_time(name):
-    columns = RECORDED[name].tick_columns
-    assert (columns.integers[0], columns.doubles[0]) == ("tick", "time")
-
-
-@pytest.mark.parametrize("name", HISTORIES)
-def test_a_history_has_each_column_in_its_rows_or_in_its_model(name):
-    table = RECORDED[HISTORIES[name].source]
-    stored = {*table.tick_columns.names, *(column.name for column in table.model)}
-    assert set(table.names) <= stored
-    if table.model:
-        assert set(table.key) <= {column.name for column in MODELS[table.name].model}
 
 
 def test_the_poses_of_links_are_for_records_alone():

@@ -146,13 +146,6 @@ def test_openraves_spellings(kitchen):
     assert kitchen["table"].GetEnv() is kitchen
 
 
-def test_closing_twice(kitchen):
-    kitchen.close()
-    kitchen.close()
-    with pytest.raises(SelectScriptError, match="closed"):
-        kitchen.tick()
-
-
 @pytest.mark.slow
 def test_an_interpreter_closes_only_the_world_that_it_loaded(client):
     pybullet.createMultiBody(physicsClientId=client)

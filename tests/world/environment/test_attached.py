@@ -2,6 +2,7 @@
 
 import numpy as np
 import pybullet
+import pybullet_data
 import pytest
 
 import ssduck
@@ -115,11 +116,8 @@ def test_spherical_joints(client):
 
 
 def test_soft_bodies_are_refused(client):
-    plane = "cloth_z_up.obj"
-    import pybullet_data
-
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, physicsClientId=client)
-    path = f"{pybullet_data.getDataPath()}/{plane}"
+    path = f"{pybullet_data.getDataPath()}/cloth_z_up.obj"
     pybullet.loadSoftBody(path, mass=1, useMassSpring=1, physicsClientId=client)
     with (
         pytest.warns(UserWarning, match="does not give back all shapes"),

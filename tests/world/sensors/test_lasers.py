@@ -83,14 +83,6 @@ def test_a_lidar_measures_a_room(mast, position, orientation):
     assert lidar.ranges == pytest.approx(expected, abs=EXACT)
 
 
-@pytest.mark.slow
-def test_a_lidar_needs_but_a_range(mast):
-    lidar = mast.open().add_sensor("lidar", "mast", max_range=5)
-    assert lidar.rays == 16 * 360
-    assert np.isinf(lidar.ranges).all()
-    assert lidar.points.shape == (0, 3)
-
-
 # (min_angle, max_angle, resolution, rays)
 SWEEPS = [
     (-45, 45, 1, 91),
