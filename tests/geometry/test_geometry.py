@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry import mesh_files
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
-from ssduck.geometry.poses import IDENTITY, compose, cross, invert, rotation_matrices
+from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from tests.support.pairs import Shape, reach
 from tests.support.urdf import box_obj
@@ -47,12 +46,6 @@ def turned(seed, count=1):
 def test_rotation_matrices(quaternion):
     matrix = rotation_matrices(quaternion[None])[0]
     assert matrix == pytest.approx(of(quaternion).as_matrix(), abs=1e-14)
-
-
-@pytest.mark.slow
-@given(vectors, vectors)
-def test_cross(first, second):
-    assert cross(first[None], second[None])[0] == pytest.approx(np.cross(first, second), abs=1e-11)
 
 
 @pytest.mark.slow
@@ -393,10 +386,3 @@ def test_a_file_is_read_once_until_it_is_written_anew(write):
     assert load_mesh(path, (2.0, 1.0, 1.0)) is not first
     write("a.obj", TETRAHEDRON + "f 1 2 3\n")
     assert len(load_mesh(path, (1.0, 1.0, 1.0)).faces) == len(first.faces) + 1
-
-
-def test_no_more_files_are_kept_than_a_scene_has(write):
-    path = write("a.obj", TETRAHEDRON)
-    for size in range(1, mesh_files.CACHED_FILES + 20):
-        load_hulls(path, (float(size), 1.0, 1.0))
-    assert mesh_files._cached_hulls.cache_info().currsize == mesh_files.CACHED_FILES

@@ -4,7 +4,6 @@ import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 
-import fcl
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +14,7 @@ from ssduck.geometry.solids import solid_of
 from tests.support import pairs
 from tests.support.cases import sampled
 from tests.support.narrow_cases import ORIGIN, OVER, floor, shape, two
-from tests.support.pairs import Shape, ell
+from tests.support.pairs import ell
 from tests.support.solids import box, cylinder, mesh_of, narrow, plane, sphere
 
 # -- against oracles -----------------------------------------------------------------------------
@@ -66,35 +65,6 @@ def test_what_is_near_is_near_for_more(kinds, seed, bounds):
     for bound in bounds:
         found = tick.clearance(0, 1, limit=bound)
         assert found == (exact if exact <= bound else math.inf)
-
-
-FCL = {
-    "sphere": lambda size: fcl.Sphere(size[0]),
-    "box": lambda size: fcl.Box(*size),
-    "capsule": lambda size: fcl.Capsule(size[0], size[1]),
-}
-
-
-@pytest.mark.parametrize(
-    "kinds", list(itertools.combinations_with_replacement(FCL, 2)), ids=" ".join
-)
-def test_formulas_agree_with_fcl(kinds):
-    """Where nothing is parallel FCL's GJK is right, up to its tolerance."""
-    random = np.random.default_rng(0)
-    for _ in range(100):
-        a, b = (
-            Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
-            for k in kinds
-        )
-        objects = [
-            fcl.CollisionObject(
-                FCL[one.kind](one.geometry.size), fcl.Transform(one.quaternion, one.position)
-            )
-            for one in (a, b)
-        ]
-        distance = fcl.distance(*objects, fcl.DistanceRequest(), fcl.DistanceResult())
-        found = pairs.gap(a, b).distance
-        assert max(0.0, found) == pytest.approx(max(0.0, distance), abs=2e-3)
 
 
 # -- boundaries ----------------------------------------------------------------------------------

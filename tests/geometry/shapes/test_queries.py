@@ -259,30 +259,6 @@ def test_relations_of_two_worlds(stage):
 
 
 @pytest.mark.slow
-def test_a_what_if_is_asked_of_its_own_poses(stage):
-    stage.box("a")
-    stage.box("b", (3, 0, 0))
-    world = stage.open()
-    for x in (0.5, 1.0, 1.25, 4.0):
-        with ssduck.Interpreter() as ss:
-            ss.add_variable("maybe", world.what_if({"b": [1, 0, 0, 0, x, 0, 0]}))
-            found = ss.eval("SELECT clearance(a.this, b.this) FROM a=maybe, b=maybe AS list;")
-            assert found == pytest.approx([0, max(0, x - 1), max(0, x - 1), 0])
-
-
-@pytest.mark.slow
-def test_the_next_query_sees_what_was_moved(stage):
-    stage.box("a")
-    stage.box("b", (3, 0, 0))
-    world = stage.open()
-    for ss in stage.interpreters(sim=world):
-        for x in (3, 0.5, 1.0, 2.0):
-            world["b"].move([x, 0, 0])
-            assert ss.eval("clearance(a, b);") == pytest.approx(max(0.0, x - 1), abs=1e-12)
-            assert ss.eval("collides(a, b);") is (x < 1)
-
-
-@pytest.mark.slow
 def test_forces_of_the_last_step(stage):
     pybullet.setGravity(0, 0, -10, physicsClientId=stage.client)
     stage.add("ground", PLANE)
