@@ -275,12 +275,10 @@ RAW = (
 
 
 @pytest.mark.slow
-def test_a_sensor_that_is_off_perceives_nothing(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    eye = world.add_sensor("range_finder", "mast", "eye", max_range=5)
-    wall = world["wall"].id
-    for ss in evaluators(world):
+def test_a_sensor_that_is_off_perceives_nothing(walled):
+    eye = walled.add_sensor("range_finder", "mast", "eye", max_range=5)
+    wall = walled["wall"].id
+    for ss in evaluators(walled):
         for on in (True, False, True):
             eye.power(on)
             assert eye.powered is on

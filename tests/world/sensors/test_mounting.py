@@ -179,29 +179,27 @@ def test_a_contact_sensor_on_a_link_feels_that_link(write):
 
 
 @pytest.mark.slow
-def test_sensors_come_and_go(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    eye = world.add_sensor("range_finder", "mast", max_range=5)
-    again = world.add_sensor("range_finder", "mast", max_range=5)
+def test_sensors_come_and_go(mast, walled):
+    eye = walled.add_sensor("range_finder", "mast", max_range=5)
+    again = walled.add_sensor("range_finder", "mast", max_range=5)
     assert [eye.name, again.name] == ["mast_range_finder", "mast_range_finder_2"]
     assert [eye.kind, eye.spec.on, eye.mass] == ["sensor", "mast", 0.0]
-    for ss in evaluators(world):
+    for ss in evaluators(walled):
         assert ss.eval("SELECT id FROM sim WHERE isSensor(this) AS list;") == [eye.name, again.name]
     assert mast.seen(eye) == ["wall"]
-    world.remove_sensor(eye)
-    assert [e.name for e in world] == [again.name, "mast", "wall"]
+    walled.remove_sensor(eye)
+    assert [e.name for e in walled] == [again.name, "mast", "wall"]
     for act in (
         lambda: eye.reading,
         lambda: eye.power(False),
         lambda: eye.powered,
-        lambda: world.remove_sensor(eye),
+        lambda: walled.remove_sensor(eye),
         lambda: eye.ranges,
     ):
         with pytest.raises(RemovedEntityError, match="'mast_range_finder' is no longer in world"):
             act()
-    world.remove_sensor(again.name)
-    for ss in evaluators(world):
+    walled.remove_sensor(again.name)
+    for ss in evaluators(walled):
         assert ss.eval("SELECT id FROM sim WHERE isSensor(this) AS list;") == []
         assert ss.sql("FROM sensings").fetchall() == []
 
@@ -312,16 +310,14 @@ def test_mistakes_of_other_worlds_and_of_others_than_sensors(mast):
 
 
 @pytest.mark.slow
-def test_sensors_stay_what_they_are_while_a_query_runs(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    eye = world.add_sensor("range_finder", "mast", "eye", max_range=5)
+def test_sensors_stay_what_they_are_while_a_query_runs(walled):
+    eye = walled.add_sensor("range_finder", "mast", "eye", max_range=5)
     acts = {
         "off": lambda thing: eye.power(False),
-        "mount": lambda thing: world.add_sensor("range_finder", "mast", max_range=5),
-        "remove": lambda thing: world.remove_sensor(eye),
+        "mount": lambda thing: walled.add_sensor("range_finder", "mast", max_range=5),
+        "remove": lambda thing: walled.remove_sensor(eye),
     }
-    for ss in evaluators(world):
+    for ss in evaluators(walled):
         for name, act in acts.items():
             ss.add_function(name, act)
             with pytest.raises(SelectScriptError, match="a query on 'sim' is running"):

@@ -14,13 +14,11 @@ from tests.support.sensing import CAMERA, EXACT, LASER, evaluators
 
 
 @pytest.mark.slow
-def test_nothing_senses_itself_its_body_or_a_sensor(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    world.add_sensor("range_finder", "mast", "one", position=[-0.5, 0, 0], max_range=5)
-    world.add_sensor("range_finder", "mast", "two", max_range=5)
-    world.add_sensor("planar_laser", "wall", "three", position=[-1, 0, 0], **LASER)
-    for ss in evaluators(world):
+def test_nothing_senses_itself_its_body_or_a_sensor(walled):
+    walled.add_sensor("range_finder", "mast", "one", position=[-0.5, 0, 0], max_range=5)
+    walled.add_sensor("range_finder", "mast", "two", max_range=5)
+    walled.add_sensor("planar_laser", "wall", "three", position=[-1, 0, 0], **LASER)
+    for ss in evaluators(walled):
         pairs = ss.eval(
             "SELECT id(a.this), id(b.this) FROM a=sim, b=sim WHERE isSensing(a.this, b.this) AS list;"
         )
@@ -45,11 +43,9 @@ def test_nothing_senses_itself_its_body_or_a_sensor(mast):
 
 
 @pytest.mark.slow
-def test_aliases_in_sql_may_be_words_of_the_table(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    world.add_sensor("range_finder", "mast", "eye", max_range=5)
-    for ss in evaluators(world):
+def test_aliases_in_sql_may_be_words_of_the_table(walled):
+    walled.add_sensor("range_finder", "mast", "eye", max_range=5)
+    for ss in evaluators(walled):
         for a, b in (
             ("sensor", "entity"),
             ("hits", "rays"),
@@ -61,7 +57,7 @@ def test_aliases_in_sql_may_be_words_of_the_table(mast):
                 f"SELECT {a}.name, {b}.name, sensingAmount({a}, {b}), sensingEnvIDs({a}) "
                 f"FROM entities {a}, entities {b} WHERE isSensing({a}, {b})"
             )
-            assert rows.fetchall() == [("eye", "wall", 1.0, [world["wall"].id])]
+            assert rows.fetchall() == [("eye", "wall", 1.0, [walled["wall"].id])]
         for a, b in (("sensor", "hits"), ("rays", "seen"), ("s", "e")):
             program = f"SELECT id({a}.this), id({b}.this) FROM {a}=sim, {b}=sim WHERE isSensing({a}.this, {b}.this) AS list;"
             assert ss.eval(program) == ["eye", "wall"]
@@ -228,34 +224,30 @@ def test_in_your_own_client_time_may_pass_unknown(mast):
 
 
 @pytest.mark.slow
-def test_sensors_cost_nothing_until_they_are_asked_for(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    world.add_sensor("depth_camera", "mast", **CAMERA)
-    world.add_sensor("planar_laser", "mast", **LASER)
+def test_sensors_cost_nothing_until_they_are_asked_for(mast, walled):
+    walled.add_sensor("depth_camera", "mast", **CAMERA)
+    walled.add_sensor("planar_laser", "mast", **LASER)
     for _ in range(3):
-        world.step()
-    for ss in evaluators(world):
+        walled.step()
+    for ss in evaluators(walled):
         ss.eval("SELECT id, z FROM sim WHERE isSensor(this);")
         ss.sql("SELECT count(*) FROM entities e WHERE isSensor(e)")
     assert mast.casts == []
 
 
 @pytest.mark.slow
-def test_one_sensor_is_read_by_itself(mast):
+def test_one_sensor_is_read_by_itself(mast, walled):
     """An expensive one is not read for the sake of a cheap one; a query reads all."""
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    camera = world.add_sensor("depth_camera", "mast", **CAMERA)
-    finder = world.add_sensor("range_finder", "mast", max_range=5, period=0.1)
+    camera = walled.add_sensor("depth_camera", "mast", **CAMERA)
+    finder = walled.add_sensor("range_finder", "mast", max_range=5, period=0.1)
     assert finder.ranges == pytest.approx([1.5], abs=EXACT)
     assert mast.casts == [1]
-    world.step(24)
+    walled.step(24)
     assert mast.casts == [1, 1]
     assert camera.rays == 64 * 48  # asked for now, in the same tick
     assert mast.casts == [1, 1, 64 * 48]
-    assert world.snapshot.tables["sensings"].count == 0
-    for ss in evaluators(world):
+    assert walled.snapshot.tables["sensings"].count == 0
+    for ss in evaluators(walled):
         assert ss.sql("SELECT count(*) FROM sensings").fetchone() == (2,)
         assert ss.eval("SELECT id FROM sim WHERE count(sensingEnvIDs(this)) > 0 AS list;") == [
             camera.name,
@@ -268,35 +260,31 @@ def test_one_sensor_is_read_by_itself(mast):
 
 
 @pytest.mark.slow
-def test_more_rays_than_pybullet_takes_in_one_call(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    camera = world.add_sensor("depth_camera", "mast", width=200, height=150, fov=40, max_range=5)
+def test_more_rays_than_pybullet_takes_in_one_call(walled):
+    camera = walled.add_sensor("depth_camera", "mast", width=200, height=150, fov=40, max_range=5)
     assert camera.rays == 30_000 > pybullet_rays.MAX_RAYS
     assert camera.depth == pytest.approx(np.full((150, 200), 1.5), abs=EXACT)
 
 
-def test_colours_are_drawn_when_they_are_asked_for(mast):
-    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
-    world = mast.open()
-    camera = world.add_sensor("depth_camera", "mast", **CAMERA, period=1.0)
+def test_colours_are_drawn_when_they_are_asked_for(walled):
+    camera = walled.add_sensor("depth_camera", "mast", **CAMERA, period=1.0)
     pictures = []
-    real = world.simulator.photograph
-    world.simulator.photograph = lambda view: pictures.append(view) or real(view)
+    real = walled.simulator.photograph
+    walled.simulator.photograph = lambda view: pictures.append(view) or real(view)
     assert camera.depth.shape == (48, 64)
-    world.step()
+    walled.step()
     assert pictures == []
     assert camera.reading.image is None
     image = camera.image
     assert image.shape == (48, 64, 3)
     assert camera.image is image
-    assert camera.reading.time == world.time  # its depth is of the same moment
+    assert camera.reading.time == walled.time  # its depth is of the same moment
     assert len(pictures) == 1
-    world.step(240)
+    walled.step(240)
     assert len(pictures) == 2
     # Nobody asks any more.
     for _ in range(260):
-        world.step(0)
-        world.request_tables(["sensings"])
-    world.step(240)
+        walled.step(0)
+        walled.request_tables(["sensings"])
+    walled.step(240)
     assert len(pictures) == 2
