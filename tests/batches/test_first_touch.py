@@ -36,6 +36,12 @@ def at_rest(xml=REST, steps=300):
     return model, data
 
 
+def batch(ss, count, xml=REST):
+    """A model, its data at rest, and a batch `sim`."""
+    model, data = at_rest(xml)
+    return model, data, ss.add_variable("sim", ssduck.World.batch(model, count))
+
+
 def many(data, count, *names):
     return {name: np.stack([getattr(data, name)] * count) for name in names}
 
@@ -68,8 +74,7 @@ def test_a_grasp_does_not_depend_on_the_order_of_geoms(ss, place, expected):
 
 
 def test_the_world_of_an_environment_has_its_contacts(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2)
     sim.tick([data, data])
     one = ss.add_variable("one", sim.environment(1))
     force = ss.eval("force(one.box)[2];")
@@ -83,8 +88,7 @@ def test_the_world_of_an_environment_has_its_contacts(ss):
 
 
 def test_contacts_that_a_later_state_lacks_are_an_error(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2)
     sim.tick([data, data])
     assert ss.eval("force(sim.box)[2];") == pytest.approx([9.81] * 2, abs=1e-3)
     sim.tick(**many(data, 2, "xpos", "xquat"), time=data.time)
@@ -94,8 +98,7 @@ def test_contacts_that_a_later_state_lacks_are_an_error(ss):
 
 
 def test_whole_forces_need_whole_contacts(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 1))
+    model, data, sim = batch(ss, 1)
     forces = np.zeros((data.ncon, 6))
     for number in range(data.ncon):
         mujoco.mj_contactForce(model, data, number, forces[number])
@@ -144,8 +147,7 @@ def test_an_episode_begins_where_the_time_falls(ss, tmp_path):
 
 
 def test_of_ticks_of_one_time_the_last_one_counts(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2)
     terms = ss.terms(reward={"rate": "rate(z(sim.box))", "first": "initially(z(sim.box))"})
     qpos = many(data, 2, "qpos", "mocap_pos", "mocap_quat")
     found = []
@@ -158,8 +160,7 @@ def test_of_ticks_of_one_time_the_last_one_counts(ss):
 
 
 def test_a_time_that_falls_beside_told_resets_is_told_of(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 3))
+    _, data, sim = batch(ss, 3)
     state = many(data, 3, "xpos", "xquat")
     sim.tick(**state, time=1.0)
     sim.reset([0])
@@ -183,8 +184,7 @@ def test_numbers_that_look_like_a_mask_are_an_error(ss):
 
 
 def test_a_world_that_is_not_at_its_place_is_an_error(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2)
     state = many(data, 2, "xpos", "xquat")
     sim.tick(**state)
     for wrong in ({"xquat": state["xquat"][..., [1, 2, 3, 0]]}, {"xpos": state["xpos"] + 1}):
@@ -194,8 +194,7 @@ def test_a_world_that_is_not_at_its_place_is_an_error(ss):
 
 
 def test_mocap_bodies_are_where_the_states_say(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2)
     state = many(data, 2, "qpos", "mocap_pos", "mocap_quat")
     state["mocap_pos"][:, 0] = [[0, 0, 2], [1, 0, 3]]
     sim.tick(**state)
@@ -232,8 +231,7 @@ def test_errors_say_what_arrays_have_to_do_with_them(ss):
 
 
 def test_a_term_that_is_nothing_is_not_told_of_as_nan(ss):
-    model, data = at_rest()
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2)
     terms = ss.terms(reward="since(z(sim.box) > 0.6)")
     sim.tick([data, data])
     with pytest.raises(ArgumentError, match=r"no pose is NaN: .* heldFor is 0 there"):
@@ -268,8 +266,7 @@ def test_forces_of_constraints_are_those_of_contacts(ss, cone, adhesion):
         if not hasattr(mujoco.MjModel, "geom_adhesion"):
             pytest.skip("MuJoCo has adhesion since 4")
         text = text.replace('type="plane"', f'type="plane" adhesion="{adhesion}"')
-    model, data = at_rest(text)
-    sim = ss.add_variable("sim", ssduck.World.batch(model, 2))
+    _, data, sim = batch(ss, 2, text)
     names = ["geom", "dist", "efc_address", "dim"] + ["adhesion"] * bool(adhesion)
     contact = {name: np.stack([getattr(data.contact, name)] * 2) for name in names}
     poses = many(data, 2, "xpos", "xquat", "efc_force")
