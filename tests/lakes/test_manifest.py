@@ -13,7 +13,6 @@ import ssduck
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.lakes import workers
 from ssduck.lakes.lake import MANIFEST
-from ssduck.lakes.manifest import entries_of, table_of
 from ssduck.recording.stores.files import json_text
 from tests.lakes.conftest import EPISODES, STEPS
 from tests.support.cases import sampled
@@ -55,11 +54,6 @@ def test_the_seed_of_an_episode_is_a_column(recorded):
     assert len(set(seeds)) == EPISODES
     program = "heldFor(z(sim.cup) > 0);"
     assert list(ask(recorded, program, where=f"seed = {seeds[3]} AND error IS NULL")) == [3]
-
-
-def test_entries_survive_their_formats(recorded):
-    entries = ssduck.lake(recorded)._entries
-    assert entries_of(table_of(entries)) == entries
 
 
 def test_written_read_and_rebuilt(folder, monkeypatch):
