@@ -12,6 +12,8 @@ from tests.support.bodies import solid
 from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
 
+pytestmark = pytest.mark.slow
+
 CUBE = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
 FACES = [0, 1, 3, 0, 3, 2, 4, 7, 5, 4, 6, 7, 0, 5, 1, 0, 4, 5]
 FACES += [2, 3, 7, 2, 7, 6, 0, 2, 6, 0, 6, 4, 1, 5, 7, 1, 7, 3]
@@ -143,7 +145,6 @@ def settled(yard, steps=480):
     return yard.world()
 
 
-@pytest.mark.slow
 def test_every_pair_at_rest(yard):
     """All of it in one world: each pair 10 m from the others, and planes in worlds of their own."""
     pairs = [
@@ -155,7 +156,6 @@ def test_every_pair_at_rest(yard):
     check(settled(yard), pairs)
 
 
-@pytest.mark.slow
 def test_everything_on_a_plane(yard):
     yard.add("ground", "plane", 1.0, [0, 0, 0])
     for n, kind in enumerate(OVER):
@@ -211,7 +211,6 @@ CHANGED = [
 ]
 
 
-@pytest.mark.slow
 def test_margins_that_are_set(yard):
     for n, (kind, given, _) in enumerate(CHANGED):
         yard.stack(kind, "box", (10.0 * n, 0), margin=given)
@@ -277,7 +276,6 @@ def doors(ss, condition, *, raw):
     yield ss.sql(joined).fetchall() == [(first,)]
 
 
-@pytest.mark.slow
 @sampled("slow", [False, True], every=2)
 def test_at_the_bounds_of_margins_and_depths(hulls, slow):
     with ssduck.Interpreter(row_by_row=slow) as ss:
@@ -292,7 +290,6 @@ def test_at_the_bounds_of_margins_and_depths(hulls, slow):
                     assert found == [expected] * len(found), (condition, gap)
 
 
-@pytest.mark.slow
 @sampled("slow", [False, True], every=2)
 def test_a_depth_below_0_is_an_error(hulls, slow):
     """Also where no boxes meet, so that no shapes are compared."""
@@ -322,7 +319,6 @@ def test_a_depth_below_0_is_an_error(hulls, slow):
         assert ss.sql(nothing).fetchall() == []
 
 
-@pytest.mark.slow
 def test_tables_of_all_pairs_take_a_depth(hulls):
     overlapping = {"b": [1, 0, 0, 0, 0.99, 0, 0], "c": [1, 0, 0, 0, -0.9, 0, 0]}
     with ssduck.Interpreter() as ss:
@@ -342,7 +338,6 @@ RECORDED = [
 ]
 
 
-@pytest.mark.slow
 @sampled("place", ["run", "run.duckdb"], every=2)
 def test_margins_are_recorded(yard, tmp_path, place):
     yard.add("under", "hull", 1.0, [0, 0, 0])

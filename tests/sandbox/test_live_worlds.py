@@ -19,6 +19,8 @@ from tests.simulators.mujoco.test_pair_margins import CASES, MODEL, PAIR, THINGS
 from tests.simulators.mujoco.test_pair_margins import pressed as presses
 from tests.support.environments import by_name
 
+pytestmark = pytest.mark.slow
+
 EXIT = "__import__('os')._exit(0)"
 
 
@@ -39,14 +41,12 @@ def pair(zygote):
         yield ss, box
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_programs_ask_a_world_of_this_process(pair, program):
     ss, box = pair
     assert by_name(box.eval(program)) == by_name(ss.eval(program))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("statement", STATEMENTS)
 def test_sql_asks_a_world_of_this_process(pair, statement):
     ss, box = pair
@@ -55,7 +55,6 @@ def test_sql_asks_a_world_of_this_process(pair, statement):
     assert rows
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", ["pair", "pair of less", "override of a pair", "both"])
 def test_relations_hold_in_copies_where_the_simulator_presses(zygote, case):
     parts = dict.fromkeys(("option", "table", "cup", "ball", "pair"), "") | CASES[case]
@@ -77,7 +76,6 @@ def test_relations_hold_in_copies_where_the_simulator_presses(zygote, case):
         mirror.close()
 
 
-@pytest.mark.slow
 def test_margins_that_change_reach_the_copy(zygote):
     pair = PAIR.format('margin=".1"')
     text = MODEL.format(option="", table="", cup="", ball="", pair=pair)
@@ -98,7 +96,6 @@ def test_margins_that_change_reach_the_copy(zygote):
         assert box.sql("SELECT min(margin) > 0 FROM shapes").fetchall() == [(True,)]
 
 
-@pytest.mark.slow
 def test_each_question_sees_the_last_tick_of_the_simulation(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
         world = ss["kitchen"]
@@ -117,7 +114,6 @@ def test_each_question_sees_the_last_tick_of_the_simulation(zygote):
         assert box.eval("room.table;").position == list(world["table"].position)
 
 
-@pytest.mark.slow
 def test_a_program_cannot_change_the_world(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
         world = ss["kitchen"]
@@ -135,7 +131,6 @@ def test_a_program_cannot_change_the_world(zygote):
         assert (world.tick_number, [entity.name for entity in world]) == before
 
 
-@pytest.mark.slow
 def test_a_world_that_cannot_be_copied_is_not_there(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
         box["kitchen"] = ss["kitchen"]
@@ -144,7 +139,6 @@ def test_a_world_that_cannot_be_copied_is_not_there(zygote):
         assert list(box) == ["kitchen"]
 
 
-@pytest.mark.slow
 def test_masses_that_change_are_seen(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
         world = box.add_variable("kitchen", ss["kitchen"])
@@ -157,7 +151,6 @@ def test_masses_that_change_are_seen(zygote):
         assert box.eval("mass(kitchen.cup_905a);") == pytest.approx(7.5)
 
 
-@pytest.mark.slow
 def test_what_sensors_perceive_is_asked_of_the_simulation(zygote):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
         box["kitchen"] = ss["kitchen"]
@@ -178,7 +171,6 @@ def plus(a: float, b: float = 2.0) -> float:
     return a + b
 
 
-@pytest.mark.slow
 def test_functions_of_this_process_are_called(zygote):
     with opening.load("kitchen", zygote=zygote) as box, ssduck.load("kitchen") as ss:
         for one in (box, ss):
@@ -207,7 +199,6 @@ def test_functions_of_this_process_are_called(zygote):
             box.eval("plus(1);")
 
 
-@pytest.mark.slow
 def test_a_function_that_is_called_cannot_ask_back(zygote):
     with opening.load("kitchen", zygote=zygote) as box:
         box.add_function("place", lambda entity: entity.position)
@@ -216,7 +207,6 @@ def test_a_function_that_is_called_cannot_ask_back(zygote):
         assert box.eval("1 + 1;") == 2
 
 
-@pytest.mark.slow
 def test_callbacks_of_triggers_are_called_here(zygote):
     fired = []
     with opening.load("kitchen", zygote=zygote) as box:
@@ -232,7 +222,6 @@ def test_callbacks_of_triggers_are_called_here(zygote):
             box.add_trigger("other", "1;", 0.25, print, queue=3)
 
 
-@pytest.mark.slow
 def test_triggers_see_the_tick_of_each_question(zygote):
     times, sensed = [], []
     query = "SELECT count(*) FROM a=kitchen, b=kitchen WHERE isSensing(a.this, b.this) AS value;"
@@ -252,7 +241,6 @@ def pressed(_: float) -> float:
     raise KeyboardInterrupt
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("question", ["eval", "sql"])
 def test_ctrl_c_in_a_function_ends_the_program_and_keeps_its_variables(zygote, question):
     programs = {
@@ -267,7 +255,6 @@ def test_ctrl_c_in_a_function_ends_the_program_and_keeps_its_variables(zygote, q
         assert box.eval("mine;") == 7
 
 
-@pytest.mark.slow
 def test_a_new_process_has_worlds_functions_and_triggers_again(zygote):
     fired = []
     with ssduck.load("kitchen") as ss, opening.load("kitchen", zygote=zygote) as box:
@@ -295,7 +282,6 @@ CALLS = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("call", CALLS)
 def test_what_nobody_offers_cannot_be_called(zygote, call):
     with ssduck.load("kitchen") as ss, SandboxedInterpreter(zygote=zygote) as box:
@@ -322,7 +308,6 @@ while True:
 """
 
 
-@pytest.mark.slow
 def test_calls_without_end_end_in_time(zygote):
     limits = Limits.strict(seconds=0.2)
     with SandboxedInterpreter(limits=limits, zygote=zygote) as box:

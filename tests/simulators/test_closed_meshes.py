@@ -7,6 +7,8 @@ import pytest
 import ssduck
 from tests.support.warned import heard
 
+pytestmark = pytest.mark.slow
+
 TOLD = "closed concave mesh of room is around something"
 
 
@@ -37,7 +39,6 @@ def told_by(ask):
     return heard(ask, TOLD)[1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "asked",
     [
@@ -58,7 +59,6 @@ def test_a_mesh_around_something_is_told_of_once(client, room, asked):
         assert told_by(lambda: ss.eval(asked)) == []
 
 
-@pytest.mark.slow
 def test_records_tell_of_it_too(room, tmp_path):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", room)
@@ -67,7 +67,6 @@ def test_records_tell_of_it_too(room, tmp_path):
         assert len(told_by(lambda: record.eval("clearance(sim.room, sim.ball);"))) == 1
 
 
-@pytest.mark.slow
 def test_what_no_inside_decides_is_not_told_of(client, room):
     gaps = [point[8] for point in pybullet.getClosestPoints(0, 2, 5.0, physicsClientId=client)]
     with ssduck.Interpreter() as ss:

@@ -9,6 +9,8 @@ import ssduck
 from tests.support.bodies import solid
 from tests.support.cases import sampled
 
+pytestmark = pytest.mark.slow
+
 CUBE = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
 WIDE = 0.01
 # What the margins of both decide, of what is 2 cm apart.
@@ -68,7 +70,6 @@ WAYS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("row_by_row", [False, True])
 @sampled("way", WAYS, every=4)
 def test_changed_margins_count_from_the_next_tick(sim, client, way, row_by_row):
@@ -82,7 +83,6 @@ def test_changed_margins_count_from_the_next_tick(sim, client, way, row_by_row):
         assert [WAYS[way](ss, relation) for relation in RELATIONS] == [False] * 4
 
 
-@pytest.mark.slow
 def test_they_are_in_the_table_and_in_what_if_worlds_and_decide_what_can_be_held(sim, client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)
@@ -94,7 +94,6 @@ def test_they_are_in_the_table_and_in_what_if_worlds_and_decide_what_can_be_held
         sim["low"].hold(sim["high"])
 
 
-@pytest.mark.slow
 def test_recorded_ticks_go_by_those_that_a_body_came_with_and_tell(sim, client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)
@@ -114,7 +113,6 @@ def test_recorded_ticks_go_by_those_that_a_body_came_with_and_tell(sim, client):
         assert ss.eval(ask.format(before)) is True  # told once
 
 
-@pytest.mark.slow
 def test_margins_of_a_body_that_is_gone(sim, client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)
@@ -125,7 +123,6 @@ def test_margins_of_a_body_that_is_gone(sim, client):
         assert ss.sql("SELECT margin FROM sim.shapes").fetchall() == [(0.001,)]
 
 
-@pytest.mark.slow
 def test_a_row_of_no_entity_is_an_error(sim):
     other = "(SELECT * REPLACE (id + 1000 AS id) FROM entities)"
     with ssduck.Interpreter() as ss:

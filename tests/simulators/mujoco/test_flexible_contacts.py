@@ -8,6 +8,8 @@ import ssduck
 from tests.support.cases import sampled
 from tests.support.mjcf import simulated
 
+pytestmark = pytest.mark.slow
+
 CLOTH = """
 <mujoco><option solver="CG"/><worldbody>
   <geom name="floor" type="plane" size="2 2 .1"/>
@@ -21,7 +23,6 @@ CLOTH = """
 SENSORS = {"contact_sensor": {}, "range_finder": {"max_range": 1.0}}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "options"), SENSORS.items())
 def test_no_sensor_is_in_contact_where_cloth_presses(kind, options):
     model, data = simulated(CLOTH, 200)
@@ -54,7 +55,6 @@ FLEXES = {
 }
 
 
-@pytest.mark.slow
 @sampled("kind", FLEXES, every=4)
 def test_a_flex_is_one_entity_with_its_contacts(kind):
     try:
@@ -81,7 +81,6 @@ def test_a_flex_is_one_entity_with_its_contacts(kind):
         assert ss.eval("on(sim.world, sim.cloth);") is False
 
 
-@pytest.mark.slow
 def test_a_flex_can_be_named_and_falls_as_mujoco_says():
     model, data = simulated(CLOTH, 1)
     with ssduck.Interpreter() as ss:
@@ -99,7 +98,6 @@ def test_a_flex_can_be_named_and_falls_as_mujoco_says():
             assert seen == pytest.approx(velocity[5], abs=1e-9)
 
 
-@pytest.mark.slow
 def test_a_flex_that_is_disabled_meets_nothing():
     model, data = simulated(CLOTH, 200)
     with ssduck.Interpreter() as ss:

@@ -10,6 +10,8 @@ import ssduck
 from tests.support.cases import sampled
 from tests.support.mjcf import simulated
 
+pytestmark = pytest.mark.slow
+
 MODEL = """
 <mujoco>{option}<worldbody>
   <body name="table" pos="0 0 .1"><geom name="t" type="box" size=".3 .3 .1" {table}/></body>
@@ -51,7 +53,6 @@ def pressed(model, data, thing):
     return any(sorted(c.geom) == geoms and c.efc_address >= 0 for c in data.contact)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @sampled("case", CASES, every=3)
 def test_they_hold_where_the_simulator_presses(case, way):
@@ -74,7 +75,6 @@ def test_they_hold_where_the_simulator_presses(case, way):
         assert not any(answers[-1] for answers in seen.values())
 
 
-@pytest.mark.slow
 def test_margins_that_change_count_from_the_next_tick():
     model, data = simulated(PAIRED)
     data.qpos[2] = 0.25 + 0.09
@@ -91,7 +91,6 @@ def test_margins_that_change_count_from_the_next_tick():
         assert ss.eval("touching(s.cup, s.ball);") is False
 
 
-@pytest.mark.slow
 def test_past_ticks_tell_that_they_have_a_margin_for_each_shape():
     model, data = simulated(PAIRED)
     data.qpos[2] = data.qpos[9] = 0.25 + 0.08

@@ -10,6 +10,8 @@ import ssduck
 from tests.support.mjcf import simulated
 from tests.support.warned import heard
 
+pytestmark = pytest.mark.slow
+
 # A bar that slides and turns on two balls.
 SCENE = """<mujoco><option cone="{cone}"/><worldbody>
   <geom type="plane" size="0 0 1" condim="1"/>
@@ -41,7 +43,6 @@ def moments(model, data, place):
     return of_forces, others
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("margin", [0, 0.04])
 @pytest.mark.parametrize("dim", [3, 4, 6])
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
@@ -63,7 +64,6 @@ def test_the_forces_act_where_mujoco_applies_them(cone, dim, margin):
     assert len(texts) == (np.abs(others).max() > 0) == (dim > 3), told
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("dim", "told"), [(3, 0), (4, 1)])
 def test_moments_of_the_past_are_told_of(dim, told):
     model, data = sliding("elliptic", dim, 0)
@@ -83,7 +83,6 @@ def test_moments_of_the_past_are_told_of(dim, told):
         )  # fmt: skip
 
 
-@pytest.mark.slow
 def test_forces_alone_tell_of_no_moments():
     model, data = sliding("elliptic", 6, 0)
     with ssduck.Interpreter() as ss, warnings.catch_warnings():
