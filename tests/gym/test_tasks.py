@@ -84,7 +84,8 @@ def test_a_task_runs(folder):
     ("before", "after", "message"),
     [
         ('"push.xml"', '"../push.xml"', r"task.toml: scene: there is no file '../push.xml'"),
-        ('joint = "push"', 'joint = "pusch"', r"task.toml: actions\[0\]\.joint.*'pusch'.*'push'"),
+        ('"push.xml"', '"gone.xml"', "gone.xml"),
+        ('joint = "push"', 'joint = "pusch"', r"task.toml: actions\[0\].*'pusch'.*'push'"),
         ('entity = "pusher"', 'entity = "pushr"', r"actions\[0\].entity.*'pushr'.*'pusher'"),
         ('entity = "ball"', 'entity = "bal"', r"starts\[0\].entity.*'bal'.*'ball'"),
         ("steps = 8", "step = 8", r"task.toml: step: there is no such key.*'steps'"),
@@ -115,6 +116,7 @@ def test_a_task_runs(folder):
         ("low = [0, -0.1, 0.45]", "low = [nan, -0.1, 0.45]", r"starts\[0\].low"),
         ('success = "x', 'succes = "x', r"task\.toml: succes: there is no such key; did you"),
         ('scene = "push.xml"', 'scene = "pusch.xml"', r"scene: there is no file .*'push\.xml'"),
+        ('joint = "push"', 'joint = "pus"', r"actions\[0\]\.joint: pusher has no joint 'pus'"),
         ("high = 1\n", "high = 99\n", r"actions\[0\]\.high: pusher: "),
         ('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"", "eval is switched off"),
     ],
