@@ -7,7 +7,62 @@ from collections.abc import Sequence
 import pytest
 
 import ssduck
-from tests.support.scripts import AFTER, HANOI, MOVES, TOWERS
+
+MOVES = [[0, 2], [0, 1], [2, 1], [0, 2], [1, 0], [1, 2], [0, 2]]
+# The published towers are those after the move, since the authors' `move` changes them in place;
+# here a row sees the towers before its move.
+AFTER = [
+    [[3, 2], [], [1]],
+    [[3], [2], [1]],
+    [[3], [2, 1], []],
+    [[], [2, 1], [3]],
+    [[1], [2], [3]],
+    [[1], [], [3, 2]],
+    [[], [], [3, 2, 1]],
+]
+TOWERS = [[[3, 2, 1], [], []], *AFTER[:-1]]
+STEPS = [{"mov": mov, "tower": tower} for mov, tower in zip(MOVES, TOWERS, strict=True)]
+
+
+def numbered(word):
+    """The steps of the way, each under a word and its level."""
+    return [{f"{word}{n}": [*step.values()]} for n, step in enumerate(STEPS, 1)]
+
+
+PROGRAM = """# {how}: as published
+moves  = [[0,1], [0,2], [1,0], [1,2], [2,0], [2,1]];
+
+SELECT {selected}
+FROM mov=moves
+WHERE [[],[],[3,2,1]] == move( mov.this, tower )
+
+START WITH tower = [[3,2,1],[],[]], level=1                # the local level variable
+CONNECT BY {how}
+           tower = move( mov.this, tower ), level=level+1  # is required to prevent
+STOP WITH  level==7 or []==move(mov.this, tower)           # an infinite recursion
+
+AS {form}; """
+
+
+def written(how, selected="mov.this, tower", form="dict"):
+    """A published program; one with MEMORIZE needs no level."""
+    program = PROGRAM.format(how=how, selected=selected, form=form)
+    for part in (", level=1 ", ", level=level+1", "level==7 or ") if "MEMORIZE" in how else ():
+        program = program.replace(part, " ")
+    return program
+
+
+CONFIG = 'to([mov.this, tower], "{}"+str(level))'
+# (how, what is selected, the form, the paths)
+HANOI = [
+    ("", "mov.this", "list", [MOVES]),
+    ("NO CYCLE", "mov.this, tower", "dict", [STEPS]),
+    ("UNIQUE", CONFIG.format("config"), "dict", [numbered("config")]),
+    ("NO CYCLE UNIQUE", CONFIG.format("config"), "dict", [numbered("config")]),
+    ("MEMORIZE", "mov.this, tower", "dict", [[[step] for step in STEPS]]),
+    ("MEMORIZE 7", "mov.this, tower", "dict", [[[step] for step in STEPS]]),
+    ("", CONFIG.format("move"), "dict", [numbered("move")]),
+]
 
 
 def move(step, towers):
@@ -42,9 +97,9 @@ def towers(ss):
     return ss
 
 
-@pytest.mark.parametrize("program", HANOI, ids=range(len(HANOI)))
-def test_towers_of_hanoi(towers, program):
-    assert towers.eval(towers.compile(program)) == HANOI[program]
+@pytest.mark.parametrize(("how", "selected", "form", "paths"), HANOI)
+def test_towers_of_hanoi(towers, how, selected, form, paths):
+    assert towers.eval(towers.compile(written(how, selected, form))) == paths
 
 
 def test_published_towers_are_those_after_the_move():
@@ -70,34 +125,6 @@ def test_towers_by_nested_functions():
     assert len(calls) <= 28 * 6
 
 
-MAXIMUM = """# stop at a certain number of results... note the changed graph-size
-moves  = [[0,1], [0,2], [1,0], [1,2], [2,0], [2,1]];
-
-SELECT mov.this, tower
-FROM mov=moves
-WHERE [[],[],[3,2,1]] == move( mov.this, tower )
-
-START WITH tower = [[3,2,1],[],[]]
-CONNECT BY MEMORIZE 10 MAXIMUM 3
-           tower = move( mov.this, tower )
-STOP WITH  [] == move( mov.this, tower )
-
-AS dict; """
-
-FOUR_DISCS = """
-moves  = [[0,1], [0,2], [1,0], [1,2], [2,0], [2,1]];
-              
-SELECT mov.this, tower
-FROM mov=moves
-WHERE [[],[],[4,3,2,1]] == move( mov.this, tower )
-              
-START WITH tower = [[4,3,2,1],[],[]], level=1
-CONNECT BY NO CYCLE tower = move( mov.this, tower ), level=level+1
-STOP WITH  ([] == move( mov.this, tower )) or level==15
-              
-AS list; """  # noqa: W293
-
-
 def solution(discs: int, source: int = 0, target: int = 2) -> list[list[int]]:
     """The shortest way, as everybody knows it."""
     if not discs:
@@ -119,7 +146,7 @@ def is_way(moves: Sequence[Sequence[int]], discs: int) -> bool:
 
 def test_as_many_results_as_are_wanted(towers):
     """The shortest come first here; the published ones (11, 7 and 9 moves) are in no order."""
-    found = towers.eval(towers.compile(MAXIMUM))
+    found = towers.eval(towers.compile(written("MEMORIZE 10 MAXIMUM 3")))
     assert len(found) == 3
     ways = [[step["mov"] for (step,) in path] for path in found]
     assert ways[0] == MOVES
@@ -130,5 +157,7 @@ def test_as_many_results_as_are_wanted(towers):
 
 @pytest.mark.slow
 def test_four_discs(towers):
-    (path,) = towers.eval(towers.compile(FOUR_DISCS))
+    program = written("NO CYCLE", form="list")
+    program = program.replace("[3,2,1]", "[4,3,2,1]").replace("level==7", "level==15")
+    (path,) = towers.eval(towers.compile(program))
     assert path[::2] == solution(4)
