@@ -14,14 +14,6 @@ from ssduck.errors import SqlError
 from ssduck.limits import Limits
 
 
-@pytest.fixture(autouse=True)
-def left_as_it_was():
-    """Python handles Ctrl-C as it does by default."""
-    kept = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, kept)
-
-
 @pytest.fixture
 def ss():
     with ssduck.Interpreter() as interpreter:

@@ -27,12 +27,6 @@ NINE_PAIRS = (
 )
 
 
-@pytest.fixture(scope="module")
-def ss():
-    with ssduck.load("kitchen") as interpreter:
-        yield interpreter
-
-
 @pytest.fixture
 def sim():
     """A PyBullet client of the user's with three boxes, bound as `sim`."""

@@ -16,14 +16,8 @@ from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.language.builtins import EXTREMES
 from tests.support.cases import generated
+from tests.support.mjcf import BALL_AND_BOX
 
-MODEL = """
-<mujoco><option timestep="0.01"/><worldbody>
-  <geom type="plane" size="1 1 0.1"/>
-  <body name="ball" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.05"/></body>
-  <body name="box" pos="0.3 0 0.05"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>
-</worldbody></mujoco>
-"""
 TERMS = [
     "heldFor(z(sim.ball) < limit)",
     "since(near(sim.ball, sim.box, 0.35))",
@@ -61,7 +55,7 @@ FRESH = count()
 
 @contextmanager
 def opened():
-    model = mujoco.MjModel.from_xml_string(MODEL)
+    model = mujoco.MjModel.from_xml_string(BALL_AND_BOX)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     with ssduck.Interpreter() as ss:
@@ -262,7 +256,7 @@ def test_states_do_not_keep_a_world_that_no_variable_has():
     with ssduck.Interpreter() as ss:
         worlds = []
         for _ in range(2):
-            model = mujoco.MjModel.from_xml_string(MODEL)
+            model = mujoco.MjModel.from_xml_string(BALL_AND_BOX)
             world = ss.add_variable("sim", ssduck.World.attach(model, mujoco.MjData(model)))
             worlds.append(ref(world))
             ss.eval(f"previous(z(sim.ball)); # {len(worlds)}")

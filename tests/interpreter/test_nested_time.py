@@ -13,17 +13,10 @@ import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.interpreter.execution import Execution
 from tests.support.cases import generated
-from tests.support.mjcf import simulated
+from tests.support.mjcf import BALL_AND_BOX, simulated
 from tests.support.temporal_logic import Formula, value
 from tools import check_live
 
-MODEL = """
-<mujoco><option timestep="0.01"/><worldbody>
-  <geom type="plane" size="1 1 0.1"/>
-  <body name="ball" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.05"/></body>
-  <body name="box" pos="0.3 0 0.05"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>
-</worldbody></mujoco>
-"""
 # Comparisons, with what they are of the simulator's positions.
 SIGNALS = {
     "z(sim.ball) > 0.5": lambda ball, box: ball[2] > 0.5,
@@ -53,7 +46,7 @@ class Scene:
     """Two bodies that are put somewhere at each tick."""
 
     def __init__(self, seed):
-        self.model = mujoco.MjModel.from_xml_string(MODEL)
+        self.model = mujoco.MjModel.from_xml_string(BALL_AND_BOX)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, self.data)
         self.draw = random.Random(seed)  # noqa: S311  # for a test

@@ -145,13 +145,6 @@ def record(tmp_path):
     return tmp_path / "record"
 
 
-@pytest.fixture
-def handler():
-    kept = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, kept)
-
-
 def _export(record, folder):
     with ssduck.open(record) as ss:
         ss.export(folder)
@@ -174,7 +167,6 @@ def pressed(call, record, folder, line):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("handler")
 @pytest.mark.parametrize("call", [_export, _write])
 @sampled("has_others", [False, True], ids=["a new folder", "a record"], every=2)
 def test_nothing_is_left_or_the_whole(record, tmp_path, call, has_others):
@@ -209,7 +201,6 @@ def then_pressed(function):
     return called
 
 
-@pytest.mark.usefixtures("handler")
 @pytest.mark.parametrize("call", [_export, _write])
 def test_an_episode_that_has_just_begun_is_removed(record, tmp_path, monkeypatch, call):
     monkeypatch.setattr(parquet, "begin_episode", then_pressed(parquet.begin_episode))
@@ -222,7 +213,6 @@ def test_an_episode_that_has_just_begun_is_removed(record, tmp_path, monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("handler")
 def test_an_episode_is_not_left_without_its_pairs(record, tmp_path, monkeypatch):
     """Nor the first one of several worlds."""
     monkeypatch.setattr(database, "export", then_pressed(database.export))

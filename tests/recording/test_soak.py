@@ -4,8 +4,6 @@ import pytest
 
 from tools import soak
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.mark.long
 @pytest.mark.parametrize("in_file", [False, True], ids=["memory", "file"])

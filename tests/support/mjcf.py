@@ -33,6 +33,14 @@ LAB = """
   </actuator>
 </mujoco>
 """
+# A ball that falls beside a box.
+BALL_AND_BOX = """
+<mujoco><option timestep="0.01"/><worldbody>
+  <geom type="plane" size="1 1 0.1"/>
+  <body name="ball" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.05"/></body>
+  <body name="box" pos="0.3 0 0.05"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>
+</worldbody></mujoco>
+"""
 
 
 def simulated(text, steps=0):

@@ -9,6 +9,10 @@ import pytest
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from websockets.sync.client import connect
 
+from tools.browser import chromium
+
+IN_CHROMIUM = pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
+
 SCENE, POSES, TRACK = 1, 2, 3
 
 

@@ -13,13 +13,10 @@ from PIL import Image
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.answers import MAX_ROWS
 from tests.support.cases import sampled
+from tests.support.viewing import IN_CHROMIUM
 from tools import draw_page
-from tools.browser import chromium
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
-]
+pytestmark = [pytest.mark.slow, IN_CHROMIUM]
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,9 @@ from PIL import Image
 import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
-from tools.browser import chromium
+from tests.support.viewing import IN_CHROMIUM
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
-]
+pytestmark = [pytest.mark.slow, IN_CHROMIUM]
 
 URDF = """<robot name="{name}"><link name="base">
 <visual><geometry><box size="0.05 {size} {size}"/></geometry>

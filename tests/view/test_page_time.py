@@ -9,12 +9,9 @@ import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.view import view_record, view_scene
-from tools.browser import chromium
+from tests.support.viewing import IN_CHROMIUM
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
-]
+pytestmark = [pytest.mark.long, IN_CHROMIUM]
 CUP = "cup_905a"
 # The cup is lifted from the table at this tick of those that are recorded.
 LIFTED = 12

@@ -8,12 +8,9 @@ import pytest
 import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
-from tools.browser import chromium
+from tests.support.viewing import IN_CHROMIUM
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
-]
+pytestmark = [pytest.mark.slow, IN_CHROMIUM]
 # Some seconds of work, and no row until the end.
 LONG = "SELECT count(*) FROM range(60000) a, range(60000) b WHERE a.range + b.range = 7"
 

@@ -7,8 +7,7 @@ import ssduck
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.scans import Scan
 from ssduck.view.view import view_record
-from tests.support.viewing import asked, opened
-from tools.browser import chromium
+from tests.support.viewing import IN_CHROMIUM, asked, opened
 
 CUP = "kitchen.cup_905a"
 # The cup is lifted after this step, and put back after the next one.
@@ -102,7 +101,7 @@ def test_a_scan_finds_where_a_condition_flips_though_margins_change_always(ss, h
 
 
 @pytest.mark.long
-@pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
+@IN_CHROMIUM
 def test_the_page_goes_to_the_tick_that_decides_and_draws_its_parts(served, heights, browser):
     times = [time for time, _ in heights]
     time, _ = max(heights, key=lambda row: row[1])
