@@ -15,6 +15,7 @@ from ssduck.errors import SqlError
 from ssduck.schema import TABLES
 from tests.support.bodies import solid
 from tests.support.cases import sampled
+from tests.support.mjcf import simulated
 
 RUNS = RUNS_BEFORE_PLAN + 3
 CASES = [
@@ -386,9 +387,7 @@ STATEMENTS = {
     ids=["unrecorded", "each fourth tick", "entities"],
 )
 def test_a_prepared_statement_reads_the_present_tick(sql, recording):
-    model = mujoco.MjModel.from_xml_string(FALLING)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(FALLING)
     expected = []
     with ssduck.Interpreter(recording=recording) as ss:
         ss.add_variable("sim", ssduck.World.attach(model, data))
@@ -446,12 +445,10 @@ def test_a_users_prepared_statement_reads_what_has_replaced_its_tables():
 
 
 def test_a_prepared_statement_has_the_margins_of_the_tick():
-    model = mujoco.MjModel.from_xml_string(
+    model, data = simulated(
         "<mujoco><worldbody><body name='a' pos='0 0 1'><freejoint/><geom size='.05'/></body>"
         "<body name='b' pos='0.12 0 1'><freejoint/><geom size='.05'/></body></worldbody></mujoco>"
     )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     query = "SELECT count(*) FROM entities a, entities b WHERE a.id < b.id AND touching(a, b)"
     program = "SELECT id FROM sim WHERE touching(this, sim.a) AS list;"
     with ssduck.Interpreter() as ss:

@@ -16,7 +16,7 @@ from ssduck.interpreter.over_time.functions import TEMPORAL_FUNCTIONS
 from ssduck.interpreter.over_time.live import LiveFolds
 from ssduck.language.builtins import EXTREMES
 from tests.support.cases import generated
-from tests.support.mjcf import BALL_AND_BOX
+from tests.support.mjcf import BALL_AND_BOX, simulated
 
 TERMS = [
     "heldFor(z(sim.ball) < limit)",
@@ -55,9 +55,7 @@ FRESH = count()
 
 @contextmanager
 def opened():
-    model = mujoco.MjModel.from_xml_string(BALL_AND_BOX)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(BALL_AND_BOX)
     with ssduck.Interpreter() as ss:
         sim = ssduck.World.attach((model, data))
         ss.add_variable("sim", sim)

@@ -46,9 +46,7 @@ class Scene:
     """Two bodies that are put somewhere at each tick."""
 
     def __init__(self, seed):
-        self.model = mujoco.MjModel.from_xml_string(BALL_AND_BOX)
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
+        self.model, self.data = simulated(BALL_AND_BOX)
         self.draw = random.Random(seed)  # noqa: S311  # for a test
         self.times, self.signals = [], {text: [] for text in SIGNALS}
 

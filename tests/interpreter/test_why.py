@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import random
 
-import mujoco
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
 from ssduck.logic.why import Move, Why
 from tests.support.cases import generated
+from tests.support.mjcf import simulated
 from tools import check_why
 
 
@@ -93,9 +93,7 @@ WALLS = """
     ],
 )
 def test_what_is_between_walls_is_moved_until_the_answer_changes(text, way):
-    model = mujoco.MjModel.from_xml_string(WALLS)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(WALLS)
     with ssduck.Interpreter() as ss:
         sim = ss.add_variable("sim", ssduck.World.attach((model, data)))
         for name in ("walls", "ball"):

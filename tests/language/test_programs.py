@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from functools import partial, reduce, wraps
 
 import pytest
@@ -14,6 +13,7 @@ from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.parser import parse
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
+from tests.support.warned import silent
 
 EVALUATORS = {"compiled": {}, "row by row": {"row_by_row": True}}
 
@@ -76,8 +76,7 @@ def test_programs(shared, program):
 
 
 def test_what_may_be_a_comparison_assigns_nothing_unknown(kitchen):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silent():
         assert kitchen.eval("SELECT id FROM kitchen WHERE id = 'table' AS list;") == ["table"]
     with pytest.raises(UnknownNameError, match="no variable 'm'") as caught:
         kitchen.eval("SELECT id FROM kitchen WHERE m = 3 AND True AS list;")

@@ -1,6 +1,7 @@
 """The warnings of a call."""
 
 import warnings
+from contextlib import contextmanager
 
 from ssduck.errors import ProgramWarning
 
@@ -20,3 +21,11 @@ def heard(ask, words=""):
         warnings.simplefilter("always")
         answer = ask()
     return answer, [text for one in caught if words in (text := str(one.message))]
+
+
+@contextmanager
+def silent():
+    """Any warning is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield

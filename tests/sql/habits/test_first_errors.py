@@ -1,7 +1,6 @@
 """Spellings that new users try: each is an error that says what to write, or works."""
 
 import re
-import warnings
 from contextlib import suppress
 
 import mujoco
@@ -13,6 +12,8 @@ import ssduck
 from ssduck.errors import EvaluationError, ProgramWarning, SelectScriptError, SqlError
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.schema import TABLES
+from tests.support.mjcf import simulated
+from tests.support.warned import silent
 
 XML = """
 <mujoco>
@@ -40,9 +41,7 @@ XML = """
 
 @pytest.fixture(scope="module")
 def ss():
-    model = mujoco.MjModel.from_xml_string(XML)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(XML)
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", ssduck.World.attach(model, data))
         yield ss
@@ -500,8 +499,7 @@ def test_a_second_argument_that_is_no_age_is_told_of(ss, program, told):
 
 
 def test_ages_are_not_told_of(ss):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silent():
         ss.eval("t = -0.2; [holds(z(sim.cube) > 0, t), least(z(sim.cube), -0.1)];")
         ss.eval("t = 0.2; [changes(z(sim.cube), -t), changes(z(sim.cube), t - 1)];")
 
@@ -519,9 +517,7 @@ def test_each_of_many_links_is_a_value():
         for n in range(600)
     )
     tree = f"<body name='tree'><geom size='.1'/>{bodies}</body>"
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{tree}</worldbody></mujoco>")
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = simulated(f"<mujoco><worldbody>{tree}</worldbody></mujoco>")
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("sim", ssduck.World.attach(model, data))
         assert ss.eval("position(sim.tree.l599);") == data.body("l599").xpos.tolist()

@@ -19,6 +19,7 @@ from ssduck.interpreter.lint.linter import MAX_UNKNOWN
 from tests.support.cases import sampled
 from tests.support.habits import _interpreter
 from tests.support.marked import unmarked
+from tests.support.warned import silent
 
 # -- what is not there ---------------------------------------------------------------------------
 
@@ -318,8 +319,7 @@ def test_doubts_are_told_once_and_are_errors_in_strict_interpreters(world, text,
             line, mark = message.splitlines()[-2:]
             assert line[mark.index("^") :].startswith(offending.split("\n")[0])
             assert mark.count("^") == len(offending)
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
+            with silent():
                 ss.eval(program)
             ss.strict = True
             with pytest.raises(SelectScriptError) as refused:
@@ -376,8 +376,7 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
     ],
 )
 def test_what_is_no_mistake_is_not_told(world, program):
-    with _interpreter(world, strict=True) as ss, warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with _interpreter(world, strict=True) as ss, silent():
         ss.eval(program)
 
 
@@ -401,8 +400,7 @@ def test_names_of_bodies_that_were_there_are_known():
             f"{K}{{0}} WHERE id(this) == 'can' AS list;",
             f"{K}{{}} WHERE id == 'can' AS list;",
         ):
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
+            with silent():
                 assert set(ss.eval(program)) == {"can"}
         for source in ("kitchen{0}", "kitchen{}", "kitchen{-1}"):
             with pytest.warns(ProgramWarning, match="did you mean 'can'"):
@@ -473,8 +471,7 @@ def test_a_second_argument_from_0_up_of_an_extreme_is_told_of_anywhere(client, p
 def test_an_age_before_now_is_not_told_of(client):
     with ssduck.Interpreter() as ss:
         falling_ball(ss, client)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with silent():
             assert ss.eval("least(z(sim.ball), -9.0)[0] > 0;") is True
             assert ss.eval("greatest(z(sim.ball), before)[0];") == 0.0
 
