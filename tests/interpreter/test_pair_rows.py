@@ -114,10 +114,6 @@ programs = st.builds(
 @pytest.mark.slow
 @given(programs)
 def test_ways_agree(ways, program):
-    check(ways, program)
-
-
-def check(ways, program):
     results = outcomes(ways, program)
     assert results["looked up"] == results["SQL"], program
     assert results["looked up"] == results["row by row"], program

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+import numpy as np
 import pytest
 
 import ssduck
@@ -252,7 +253,8 @@ def test_scaled_and_lifted_conditions_are_told_as_they_are_written(kitchen):
     assert raised.detail == f"cup has risen by {z - start:.6g} m"
     assert whole.margin == pytest.approx(min(whole.parts[0].margin, -raised.margin))
     for part in (scaled, raised):
-        world = kitchen["kitchen"].what_if({"cup_905a": [1, 0, 0, 0, *_moved(kitchen, part.move)]})
+        place = np.add(kitchen["cup"].position, part.move.translation)
+        world = kitchen["kitchen"].what_if({"cup_905a": [1, 0, 0, 0, *place]})
         with ssduck.Interpreter() as ss:
             cup = ss.add_variable("moved", world)["cup_905a"]
             limit = {scaled.text: 0.9, raised.text: start + 0.3}[part.text]
@@ -266,10 +268,6 @@ def test_rows_of_lifted_bodies_and_ticks_of_scaled_margins_are_told(kitchen):
     rows = kitchen.eval("SELECT time, z AS z FROM kitchen{} WHERE name = 'cup_905a';")
     lowest = min(rows, key=lambda row: row["z"])
     assert (part.time, part.margin) == (lowest["time"], (lowest["z"] - 0.9) / 2)
-
-
-def _moved(kitchen, move):
-    return [a + b for a, b in zip(kitchen["cup"].position, move.translation, strict=True)]
 
 
 def test_points_show_what_a_coordinate_lacks(kitchen):

@@ -193,22 +193,6 @@ def test_holds_is_what_a_loop_over_ticks_finds(lab, near):
 
 
 @pytest.mark.slow
-@sampled("ticks", [239, 240, 241, 1200, 1000], every=3)
-def test_since_looks_back_as_far_as_it_has_to(lab, ticks):
-    ss, _, world = lab
-    world["ball"].move([0, 0, 5])
-    world["ball"].move([0, 0, 0.5])
-    told = []
-    for _ in range(ticks):
-        world.tick()
-    ss._database.connection._tracer = told.append
-    assert ss.eval("since(z(ball) < 2);") == 0.0
-    blocks = [sql for sql in told if "entities_history" in sql]
-    # Three ticks are of the time 0, and stay together.
-    assert len(blocks) == (1 if ticks < 240 else 2 if ticks < 1199 else 3)
-
-
-@pytest.mark.slow
 def test_since_is_what_a_loop_over_ticks_finds(lab, monkeypatch):
     """The ticks are read in several pieces, and the first two have the same time."""
     monkeypatch.setattr(series, "FIRST_TICKS", 2)

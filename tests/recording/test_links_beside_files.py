@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -57,11 +58,7 @@ def _open(file):
     ssduck.open(file).close()
 
 
-def _repair(file):
-    ssduck.check(file, repair=True)
-
-
-DOORS = (_record, _open, ssduck.episodes, ssduck.check, _repair)
+DOORS = (_record, _open, ssduck.episodes, ssduck.check, partial(ssduck.check, repair=True))
 
 
 @pytest.mark.parametrize("ending", LOGS)
@@ -86,12 +83,10 @@ def test_no_log_is_reached_by_a_link(file, victim, ending):
     assert not new.exists()
 
 
-def _pipe(place):
-    os.mkfifo(place)
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
-@pytest.mark.parametrize("make", [_pipe, Path.mkdir], ids=["a pipe", "a folder"])
+@pytest.mark.parametrize(
+    "make", [getattr(os, "mkfifo", None), Path.mkdir], ids=["a pipe", "a folder"]
+)
 @pytest.mark.parametrize("ending", ["", *LOGS])
 def test_what_is_no_file_is_not_waited_for(file, tmp_path, make, ending):
     new = tmp_path / "new.duckdb"

@@ -1,7 +1,6 @@
 """An episode's beginning and its opening look at few of the others."""
 
 import json
-import re
 from itertools import islice
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.database import schemas
-from ssduck.database.connection import Connection
 from ssduck.database.schemas import drop_statements
 from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
@@ -97,12 +95,16 @@ def test_the_last_episode_is_opened_at_once(run, client, monkeypatch):
         ssduck.open(run, episode=5)
 
 
+def _begin(path, client):
+    with ssduck.Interpreter(str(path)) as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+
+
 @pytest.mark.slow
 def test_the_last_episode_of_a_file_is_opened_at_once(tmp_path, client, monkeypatch):
     path = tmp_path / "run.duckdb"
     for _ in range(4):
-        with ssduck.Interpreter(str(path)) as ss:
-            ss.add_variable("lab", ssduck.World.attach(client))
+        _begin(path, client)
     from ssduck.interpreter import archives
 
     read = []
@@ -117,29 +119,6 @@ def test_the_last_episode_of_a_file_is_opened_at_once(tmp_path, client, monkeypa
         assert ss.past("lab").ticks == [1]
     assert set(read) == {"lab_record_3"}
     assert [e.number for e in ssduck.episodes(path)] == [0, 1, 2, 3]
-
-
-def _begin(path, client):
-    with ssduck.Interpreter(str(path)) as ss:
-        ss.add_variable("lab", ssduck.World.attach(client))
-
-
-@pytest.mark.slow
-def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(tmp_path, client, monkeypatch):
-    path = tmp_path / "run.duckdb"
-    _begin(path, client)
-    asked = []
-    rows = Connection.internal_rows
-
-    def counted(own, sql, parameters=None):
-        asked.append(sql)
-        return rows(own, sql, parameters)
-
-    monkeypatch.setattr(Connection, "internal_rows", counted)
-    _begin(path, client)
-    # DuckDB makes the texts of all views and tables for these.
-    assert asked
-    assert [sql for sql in asked if re.search(r"\bsql\b|duckdb_tables", sql)] == []
 
 
 @pytest.mark.slow

@@ -62,6 +62,21 @@ class Gate:
         """Hold up statements that begin so."""
         self._held = statement
 
+    def hold_at(self, statement, world, tick):
+        """Tick until so many ticks have been, of which the statement is held up."""
+        self.hold(statement)
+        _ticked(world, tick)
+        assert self.reached.wait(60)
+
+    def lets_go(self, call):
+        """Check that a call waits for what is held up; returns what it gives then."""
+        thread, found = _in_thread(call)
+        thread.join(0.1)
+        assert thread.is_alive()
+        self.opened.set()
+        thread.join(60)
+        return found
+
 
 @pytest.fixture
 def gate(monkeypatch):
@@ -121,9 +136,7 @@ def _storers():
 
 @pytest.mark.slow
 def test_what_is_being_stored_is_seen_once(recorded, world, gate):
-    gate.hold("INSERT")
-    _ticked(world, RING + 5)
-    assert gate.reached.wait(60)
+    gate.hold_at("INSERT", world, RING + 5)
     assert _counts(recorded) == _whole(RING + 5)
     assert recorded.past("lab").ticks == list(range(1, RING + 6))
     asked = recorded._database.record_of(world)
@@ -143,15 +156,9 @@ def test_what_is_being_stored_is_seen_once(recorded, world, gate):
 
 @pytest.mark.slow
 def test_a_query_and_a_commit_wait_for_each_other(recorded, world, gate):
-    gate.hold("COMMIT")
-    _ticked(world, RING + 1)
-    assert gate.reached.wait(60)
-    thread, found = _in_thread(lambda: _counts(recorded))
-    thread.join(0.1)
-    assert thread.is_alive()  # what it would see is neither here nor there
-    gate.opened.set()
-    thread.join(60)
-    assert found == [_whole(RING + 1)]
+    gate.hold_at("COMMIT", world, RING + 1)
+    # what it would see is neither here nor there
+    assert gate.lets_go(lambda: _counts(recorded)) == [_whole(RING + 1)]
 
 
 @pytest.mark.slow
@@ -194,15 +201,9 @@ def test_queries_see_whole_ticks_while_they_are_stored(recorded, world):
 
 @pytest.mark.slow
 def test_entities_that_come_while_others_are_stored(recorded, world, client, gate):
-    gate.hold("INSERT")
-    _ticked(world, RING + 1)
-    assert gate.reached.wait(60)
+    gate.hold_at("INSERT", world, RING + 1)
     solid(client, pybullet.GEOM_SPHERE, 1, [0, 5, 1], radius=0.1)
-    thread, _ = _in_thread(world.tick)
-    thread.join(0.1)
-    assert thread.is_alive()  # what it is waits for the same connection
-    gate.opened.set()
-    thread.join(60)
+    gate.lets_go(world.tick)  # what it is waits for the same connection
     assert _counts(recorded) == _whole(RING + 1) | {RING + 2: BALLS + 1}
 
 
@@ -243,14 +244,8 @@ def test_a_tick_that_waited_until_ctrl_c_is_kept(recorded, world, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("call", ["flush", "close"])
 def test_flush_and_close_wait(recorded, world, gate, tmp_path, call):
-    gate.hold("INSERT")
-    _ticked(world, RING + 4)
-    assert gate.reached.wait(60)
-    thread, _ = _in_thread(getattr(recorded, call))
-    thread.join(0.1)
-    assert thread.is_alive()
-    gate.opened.set()
-    thread.join(60)
+    gate.hold_at("INSERT", world, RING + 4)
+    gate.lets_go(getattr(recorded, call))
     assert not _storers()
     recorded.close()
     with ssduck.open(tmp_path / "run.duckdb") as then:
@@ -261,9 +256,7 @@ def test_flush_and_close_wait(recorded, world, gate, tmp_path, call):
 def test_a_world_that_is_recorded_anew_while_it_is_stored(world, gate):
     with ssduck.Interpreter(recording=Recording(changed=True)) as ss:  # in memory, yet in tables
         ss.add_variable("lab", world)
-        gate.hold("INSERT")
-        _ticked(world, RING + 1)
-        assert gate.reached.wait(60)
+        gate.hold_at("INSERT", world, RING + 1)
         thread, _ = _in_thread(lambda: ss.record("lab", Recording()))
         gate.opened.set()
         thread.join(60)
@@ -351,9 +344,7 @@ def test_an_interpreter_that_is_forgotten_while_it_stores(world, gate, tmp_path)
     path = tmp_path / "run.duckdb"
     ss = ssduck.Interpreter(str(path), recording=FULL)
     ss.add_variable("lab", world)
-    gate.hold("INSERT")
-    _ticked(world, RING + 3)
-    assert gate.reached.wait(60)
+    gate.hold_at("INSERT", world, RING + 3)
     gone = weakref.ref(ss._database)
     threading.Timer(0.1, gate.opened.set).start()
     del ss

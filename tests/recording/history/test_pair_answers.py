@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry import pair_batch
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.geometry.poses import unit_quaternions
@@ -262,19 +261,6 @@ def test_what_stands_still_is_compared_once(stool):
     at_once, _ = _work(stool)
     stool.eval("changes(clearance(board, stool));")  # which moves
     assert _work(stool)[0] - at_once >= TICKS
-
-
-def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(stool, monkeypatch):
-    legs, ticks, normals = 4, len(stool.past("sim").ticks), []
-    decide = pair_batch.decide_contacts
-
-    def counted(scene, first, *rest):
-        normals.append(len(first))
-        return decide(scene, first, *rest)
-
-    monkeypatch.setattr(pair_batch, "decide_contacts", counted)
-    assert [value for _, value in stool.eval("changes(on(board, stool));")] == [True]
-    assert ticks <= sum(normals) <= ticks + legs
 
 
 @pytest.mark.slow

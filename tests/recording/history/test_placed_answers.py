@@ -4,7 +4,6 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.geometry import narrow_phase
 from ssduck.schema import POSE
 from tests.support.bodies import solid
 from tests.support.urdf import collision, joint, link, robot
@@ -107,21 +106,3 @@ def test_all_ticks_together_have_the_answers_of_each_tick(ss, relation, a):
     if a != "drawer" or relation == "inside":  # a tray has no walls, and reaches a part of the coin
         assert len(set(found[2::3])) > 1
     assert ss.eval(program) == singly
-
-
-@pytest.mark.slow
-def test_a_container_that_stands_still_is_placed_once(ss, monkeypatch):
-    ss.past("sim").record.answer_cache.clear()
-    hulls = []
-    world_hull = narrow_phase.world_hull
-
-    def counted(*arguments):
-        hulls.append(arguments)
-        return world_hull(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(narrow_phase, "world_hull", counted)
-    shares = ss.eval("SELECT inside(bin, this) FROM sim{} WHERE id == 'ball' AS list;")
-    assert len([share for share in shares if share > 0]) > STEPS // 3
-    assert len(hulls) == 1
-    again = ss.eval("SELECT inside(bin, this) FROM sim{} WHERE id == 'ball' AS list;")
-    assert (again, len(hulls)) == (shares, 1)
