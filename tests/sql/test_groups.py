@@ -40,13 +40,8 @@ def both():
         yield found
 
 
-def _items(draw, pool):
-    chosen = draw(st.lists(st.sampled_from(pool), min_size=1, max_size=3))
-    return ", ".join(f"{item} AS c{place}" for place, item in enumerate(chosen))
-
-
 @st.composite
-def programs(draw, others=(), *, counted=False):
+def programs(draw, others):
     """A query with groups, or with one group of all rows, or the distinct rows."""
     clauses = {name: draw(st.sampled_from(texts)) for name, texts in CLAUSES.items()}
     source = draw(st.sampled_from(SOURCES))
@@ -59,7 +54,8 @@ def programs(draw, others=(), *, counted=False):
         )
         order = draw(st.sampled_from(("", "ORDER BY z DESC", "ORDER BY kind, id DESC")))
         return f"SELECT DISTINCT {columns} {rest} {order} {end}"
-    items = _items(draw, ITEMS + others) + ", count(*) AS n" * counted
+    chosen = draw(st.lists(st.sampled_from(ITEMS + others), min_size=1, max_size=3))
+    items = ", ".join(f"{item} AS c{place}" for place, item in enumerate(chosen))
     if kind == "all":
         return f"SELECT {items} {rest} {clauses['having']} {end}"
     key = draw(st.sampled_from(KEYS))

@@ -77,8 +77,8 @@ class Cell:
     def ss(self):
         return self.interpreters[0]
 
-    def forces(self, a, link_a, b, link_b=None):
-        """The sum of the normal forces between links at each tick, by PyBullet's contacts.
+    def forces(self, a, link_a, b):
+        """The sum of the normal forces of a link on a body at each tick, by PyBullet's contacts.
 
         Those of shapes that are still apart, which PyBullet's solver slows down, are no contacts.
         """
@@ -87,13 +87,9 @@ class Cell:
             total = 0.0
             for contact in contacts:
                 sides = [(contact[1], contact[3]), (contact[2], contact[4])]
-                for (body, link), (other, other_link) in (sides, sides[::-1]):
-                    is_of_links = (body, link, other) == (a, link_a, b)
-                    if (
-                        is_of_links
-                        and link_b in (None, other_link)
-                        and (contact[8] <= 0 or contact[9] > 0)
-                    ):
+                for (body, link), (other, _) in (sides, sides[::-1]):
+                    is_of_link = (body, link, other) == (a, link_a, b)
+                    if is_of_link and (contact[8] <= 0 or contact[9] > 0):
                         total += contact[9]
             totals.append(total)
         return totals

@@ -138,17 +138,14 @@ PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 
 
 def plain(value, whole):
-    """Returns a user's function with hints."""
     return value * 2 + whole
 
 
 def scaled(value):
-    """Returns a user's function with hints."""
     return value * 0.5 - 1.0
 
 
 def longer(left, right):
-    """Returns a user's function with hints."""
     return len(left) > len(right)
 
 

@@ -120,7 +120,6 @@ class Grammar:
         return f"s{self.aliases}" if self.aliases > 17 else "abcdefghijklmnopq"[self.aliases - 1]
 
     def nested(self, text):
-        """Returns a query in parentheses."""
         return f"({text})"
 
     def query(self, scope, depth, wanted=None, form=""):
@@ -140,7 +139,6 @@ class Grammar:
         form="",
         where="",
     ):
-        """Returns a query over these sources."""
         inner = self.inside(scope, sources)
         columns = self.columns(inner, sources, depth, wanted)
         distinct = "DISTINCT " if columns != ["*"] and self.c.chance(6) else ""
@@ -183,14 +181,12 @@ class Grammar:
         return " ".join([*made, f"AS {self.c.pick(('list', 'dict', 'value'))}"])
 
     def aggregate(self, inner):
-        """Returns a number of the rows of a group."""
         name = self.c.pick(("count", "sum", "min", "max", "avg"))
         over = self.expression(self.c.pick((INT, REAL)), inner, 1, 9)
         kinds = (f"{name}({over})", "count(*)", f"count(DISTINCT {over})", f"{name}(uniq({over}))")
         return f"{self.c.pick(kinds)}{self.c.pick(('', ' + 1', ' * 2'))}"
 
     def arranging(self, inner, sources):
-        """ORDER BY and LIMIT."""
         if self.c.chance(30):
             keys = []
             for _ in range(1 + self.c.below(3)):
@@ -205,7 +201,6 @@ class Grammar:
             yield f"LIMIT {self.c.pick(('2', '1', '0', '5', 'n', 'n + 1', 'count(ints)'))}"
 
     def grouping(self, inner, sources):
-        """GROUP BY, perhaps with HAVING."""
         keys = []
         for _ in range(1 + self.c.below(2)):
             names = self.names(sources, SCALARS)
@@ -242,7 +237,6 @@ class Grammar:
         return [name for name, of in type_.keys if of in types]
 
     def columns(self, inner, sources, depth, wanted):
-        """What is selected."""
         if wanted is not None:
             return [self.expression(wanted, inner, self.size, depth + 1)]
         if self.c.chance(5):
@@ -260,7 +254,6 @@ class Grammar:
         return found
 
     def source(self, scope, depth, *, aliased):
-        """Returns a source of a query."""
         alias = self.alias() if aliased else None
         kind = self.c.below(100)
         if kind < 38:
@@ -289,7 +282,6 @@ class Grammar:
         return Source(alias, self.literal(type_), type_)
 
     def records(self, scope, depth):
-        """Returns a nested query AS dict, as a source."""
         source = self.source(scope, 2, aliased=True)
         inner = self.inside(scope, [source])
         keys = (("k", INT), ("name", TEXT))
@@ -310,7 +302,6 @@ class Grammar:
         return f"[{', '.join(values)}]"
 
     def pair(self, element, scope):
-        """Returns a list of two or three values."""
         atoms = [text for text, of in scope.outer if of == element]
         values = [
             self.c.pick(atoms) if atoms and self.c.chance(40) else self.literal(element)
@@ -363,7 +354,6 @@ class Grammar:
     # -- expressions ------------------------------------------------------------------------
 
     def literal(self, type_):
-        """Returns a constant of a type."""
         if self.wild and type_.kind in WILD and self.c.chance(15):
             return self.c.pick(WILD[type_.kind])
         return self.c.pick(LITERALS[type_.kind])
@@ -470,7 +460,6 @@ class Grammar:
         return self.c.pick(("0.5", "2.0", "(-3.5)", "0.1"))
 
     def integer(self, scope, size, depth):
-        """Returns an integer."""
         one = self.expression(INT, scope, size, depth)
         match self.c.below(18):
             case 0 | 1 | 2 | 3:
@@ -506,7 +495,6 @@ class Grammar:
         return self.of_query(INT, scope, depth)
 
     def of_query(self, type_, scope, depth):
-        """Returns a value of a nested query."""
         kind = self.c.below(3)
         if type_ in (INT, REAL) and kind < 2:
             query = self.nested(self.query(scope, depth, type_, "list"))
@@ -524,14 +512,12 @@ class Grammar:
         return f"(SELECT {column} FROM {source.written} {order} AS value)"
 
     def indexed(self, type_, scope, size):
-        """Returns an element of a list."""
         values = self.expression(list_of(type_), scope, size, 9)
         if self.wild and self.c.chance(50):
             return f"{values}[{self.expression(INT, scope, size, 9)}]"
         return f"{values}[{self.c.pick(('0', '1', '-1', '-2'))}]"
 
     def real(self, scope, size, depth):
-        """Returns a real number."""
         one = self.expression(REAL, scope, size, depth)
         match self.c.below(17):
             case 0 | 1 | 2:
@@ -568,7 +554,6 @@ class Grammar:
         return one if depth > self.deepest else self.of_query(REAL, scope, depth)
 
     def text(self, scope, size, depth):
-        """Returns a text."""
         one = self.expression(TEXT, scope, size, depth)
         match self.c.below(9):
             case 0 | 1:
@@ -586,7 +571,6 @@ class Grammar:
         return one if depth > self.deepest else self.of_query(TEXT, scope, depth)
 
     def flag(self, scope, size, depth):
-        """Returns a condition."""
         entities = scope.of(ENTITY)
         kind = self.c.below(25)
         if kind >= 22:
@@ -631,7 +615,6 @@ class Grammar:
         return f"{one} {negated}IN ({values})"
 
     def comparison(self, scope, size, depth):
-        """Two values of like types, compared."""
         type_ = self.c.pick((INT, REAL, TEXT, INTS, FLAG, ENTITY))
         if type_ == ENTITY:
             entities = scope.of(ENTITY)
@@ -661,7 +644,6 @@ class Grammar:
         return f"{left} IN {self.expression(list_of(type_), scope, size, depth)}"
 
     def of_rows(self, scope, size, depth):
-        """Returns a question about the rows of a nested query."""
         if depth > self.deepest:
             return self.comparison(scope, size, depth)
         type_ = self.c.pick((INT, TEXT, REAL))
@@ -679,5 +661,4 @@ class Grammar:
 
 
 def program(choices):
-    """Returns the text of a program."""
     return Grammar(choices).program()

@@ -24,8 +24,6 @@ class LyingStore:
     Attributes:
         folder: its objects.
         listed: further objects that it lists, with their sizes.
-        size: the size that it lists of each object; None for the right one.
-        sizes: the sizes that it claims of objects that are asked for, by the ends of their names.
         statuses: the errors with which it answers for objects, by the ends of their names.
         cut: the ends of the names of objects of which it sends only a half.
         requests: the requests so far: the method and the path.
@@ -33,8 +31,6 @@ class LyingStore:
 
     folder: Path
     listed: Mapping[str, int] = field(default_factory=dict)
-    size: int | None = None
-    sizes: Mapping[str, int] = field(default_factory=dict)
     statuses: Mapping[str, int] = field(default_factory=dict)
     cut: tuple[str, ...] = ()
     requests: list[tuple[str, str]] = field(default_factory=list)
@@ -46,8 +42,7 @@ class LyingStore:
             for file in self.folder.rglob("*")
             if file.is_file()
         }
-        listed = {**files, **self.listed}
-        return listed if self.size is None else dict.fromkeys(listed, self.size)
+        return {**files, **self.listed}
 
 
 @contextmanager
@@ -76,15 +71,8 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, *_):
         """Says nothing."""
 
-    def do_HEAD(self):
-        """Answers what is asked of an object."""
-        self._answer()
-
     def do_GET(self):
         """Answers with an object, or a listing."""
-        self._answer()
-
-    def _answer(self):
         url = urlsplit(self.path)
         path = unquote(url.path).lstrip("/")
         self.store.requests.append((self.command, path))
@@ -97,8 +85,11 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._object(key)
 
+    do_HEAD = do_GET  # noqa: N815
+
     def _object(self, key):
-        status = _of(key, self.store.statuses)
+        statuses = self.store.statuses.items()
+        status = next((status for end, status in statuses if key.endswith(end)), None)
         file = self.store.folder / key
         if status is not None:
             self._send(status, b"")
@@ -106,7 +97,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(404, b"<Error><Code>NoSuchKey</Code></Error>")
         else:
             content = file.read_bytes()
-            size = _of(key, self.store.sizes) or len(content)
+            size = len(content)
             asked = self.headers.get("Range")
             if asked is not None:
                 first, _, last = asked.removeprefix("bytes=").partition("-")
@@ -148,8 +139,3 @@ class _Handler(BaseHTTPRequestHandler):
             f"<Name>{BUCKET}</Name><KeyCount>{len(files)}</KeyCount><Prefix>{html.escape(prefix)}</Prefix>"
             f"<IsTruncated>false</IsTruncated>{''.join(files)}</ListBucketResult>"
         ).encode()
-
-
-def _of(key, values):
-    """Returns the value of the first end that a name has."""
-    return next((value for end, value in values.items() if key.endswith(end)), None)

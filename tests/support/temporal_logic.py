@@ -11,7 +11,6 @@ from typing import Any
 
 # Times of ticks are sums of time steps.
 _SLACK = 1e-9
-_AHEAD = ("always", "eventually", "until")
 
 
 @dataclass(frozen=True)
@@ -34,11 +33,6 @@ class Formula:
         if not self.parts:
             return self.name
         return f"{self.name}({', '.join((*texts, *map(str, self.window)))})"
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether a part depends on later ticks."""
-        return self.name in _AHEAD or any(part.looks_ahead for part in self.parts)
 
 
 def value(

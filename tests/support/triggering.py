@@ -11,10 +11,10 @@ from tests.support.timing import HANGS
 pybullet = pytest.importorskip("pybullet")
 
 
-def falling(client, height=10.0):
+def falling(client):
     """A ball that falls; nothing below it."""
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    ball = solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, height], radius=0.1)
+    ball = solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 10.0], radius=0.1)
     return ssduck.World.attach(client, names={ball: "ball"})
 
 
