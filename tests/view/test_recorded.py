@@ -16,31 +16,10 @@ from ssduck.view.facts import facts_of
 from ssduck.view.frames import Frame, track_of
 from ssduck.view.scans import Scan
 from ssduck.view.server import SentTicks
-from ssduck.view.view import view_record
 from tests.support.cases import sampled
 from tests.support.viewing import POSES, TRACK, asked, binary, opened, told
 
 CUP = "cup_905a"
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory, archive):
-    """A cup that is lifted from the table, and put back."""
-    return archive.copy(write_lifted_cup, tmp_path_factory.mktemp("record") / "run")
-
-
-def write_lifted_cup(path):
-    with ssduck.load("kitchen") as ss:
-        cup = ss["kitchen"][CUP]
-        ss.run(0.1)
-        x, y, z = map(float, cup.position)
-        with ss.record_to(path):
-            for step in range(60):
-                ss["kitchen"].step()
-                if 20 <= step < 25:
-                    cup.move([x, y, z + 0.5])
-                elif step == 25:
-                    cup.move([x, y, z])
 
 
 @pytest.fixture(scope="module")
@@ -140,18 +119,19 @@ def _rounded(value):
 
 
 @pytest.fixture(scope="module")
-def socket(record):
-    with view_record(record) as page, opened(page.url) as socket:
+def socket(served):
+    with opened(served.url) as socket:
         yield socket
 
 
 @pytest.mark.slow
-def test_the_ticks_and_a_track_are_sent(socket, ss):
-    message = told(socket, type="ticks")
-    assert message["times"] == ss.worlds[0].ticker.record.ticks.times.tolist()
-    binary(socket, POSES)
-    socket.send(json.dumps({"type": "track", "id": 3, "first": 0, "count": 16}))
-    data = binary(socket, TRACK)
+def test_the_ticks_and_a_track_are_sent(served, ss):
+    with opened(served.url) as socket:  # the ticks are sent once
+        message = told(socket, type="ticks")
+        assert message["times"] == ss.worlds[0].ticker.record.ticks.times.tolist()
+        binary(socket, POSES)
+        socket.send(json.dumps({"type": "track", "id": 3, "first": 0, "count": 16}))
+        data = binary(socket, TRACK)
     length = struct.unpack_from("<II", data)[1]
     head = json.loads(data[8 : 8 + length])
     assert (head["id"], head["first"], head["count"]) == (3, 0, 16)

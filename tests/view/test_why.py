@@ -6,30 +6,10 @@ import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.scans import Scan
-from ssduck.view.view import view_record
 from tests.support.viewing import IN_CHROMIUM, asked, opened
 
 CUP = "kitchen.cup_905a"
-# The cup is lifted after this step, and put back after the next one.
-LIFTED = 12
 WHY = f"WHY always(z({CUP}) < 1.2 AND on(kitchen.table, {CUP}));"
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory, archive):
-    return archive.copy(write_lifted_cup, tmp_path_factory.mktemp("record") / "run")
-
-
-def write_lifted_cup(path):
-    with ssduck.load("kitchen") as ss:
-        cup = ss["kitchen"]["cup_905a"]
-        ss.run(0.1)
-        x, y, z = map(float, cup.position)
-        with ss.record_to(path):
-            for step in range(20):
-                ss["kitchen"].step()
-                if step in (LIFTED, LIFTED + 1):
-                    cup.move([x, y, z + 0.5 * (step == LIFTED)])
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +23,6 @@ def heights(ss):
     """The times of the ticks, and the heights of the cup."""
     rows = ss.sql("SELECT time, z FROM entities_history WHERE name = 'cup_905a' ORDER BY tick")
     return rows.fetchall()
-
-
-@pytest.fixture(scope="module")
-def served(record):
-    with view_record(record) as served:
-        yield served
 
 
 def test_a_why_is_a_tree_that_is_drawn_at_the_tick_that_decides(served, ss, heights):
