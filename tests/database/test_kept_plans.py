@@ -96,16 +96,12 @@ def traced(client):
     solid(client, pybullet.GEOM_PLANE, 0)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
     for number in range(6):
-        add_box(client, number)
+        position = [0.04 * number, 0, 0.06 + 0.11 * number]
+        solid(client, pybullet.GEOM_BOX, 1, position, halfExtents=[0.05, 0.05, 0.05])
     with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("sim", ssduck.World.attach(client))
         ss.sql("SELECT force, mass FROM contacts, entities").fetchall()  # ticks have them now
         yield ss, client
-
-
-def add_box(client, number):
-    position = [0.04 * number, 0, 0.06 + 0.11 * number]
-    return solid(client, pybullet.GEOM_BOX, 1, position, halfExtents=[0.05, 0.05, 0.05])
 
 
 def move(ss, client, steps=7):

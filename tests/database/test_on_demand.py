@@ -48,17 +48,11 @@ def pool(monkeypatch):
     return own
 
 
-def _views(ss):
-    sql = "SELECT view_name FROM duckdb_views() WHERE schema_name = 'lab'"
-    return {name for (name,) in ss._database.connection.internal_rows(sql)}
-
-
-def _macros(ss):
-    sql = (
-        "SELECT schema_name, function_name FROM duckdb_functions() "
-        "WHERE NOT internal AND function_type IN ('macro', 'table_macro')"
-    )
-    return set(ss._database.connection.internal_rows(sql))
+VIEWS = "SELECT view_name FROM duckdb_views() WHERE schema_name = 'lab'"
+MACROS = """
+    SELECT schema_name, function_name FROM duckdb_functions()
+    WHERE NOT internal AND function_type IN ('macro', 'table_macro')
+"""
 
 
 @pytest.fixture
@@ -101,8 +95,9 @@ def test_the_catalog_has_everything(run, sql):
         names = {*TABLES, *(t.history_view for t in HISTORIES.values())}
         shown = {name for (name,) in ss.sql(sql).fetchall()}
         assert shown >= (names if "DESCRIBE" not in sql else set())
-        assert _views(ss) == names | {table.model_view for table in MODELS.values()}
-        assert _macros(ss) >= {("main", "above"), ("lab", "clearance"), ("main", "intervals")}
+        views, macros = map(ss._database.connection.internal_rows, (VIEWS, MACROS))
+        assert {name for (name,) in views} == names | {t.model_view for t in MODELS.values()}
+        assert set(macros) >= {("main", "above"), ("lab", "clearance"), ("main", "intervals")}
 
 
 @pytest.mark.slow

@@ -172,10 +172,6 @@ def test_the_plate_is_still_in_the_microwave(settled):
     )
 
 
-def pairs(entities, holds):
-    return sorted((a.name, b.name) for a in entities for b in entities if a != b and holds(a, b))
-
-
 def over(a, b):
     (low, high), (x, y, _) = a.aabb, b.position
     return low[0] <= x <= high[0] and low[1] <= y <= high[1]
@@ -187,7 +183,9 @@ def test_the_tutorials_relations_hold_as_loaded_and_settled(loaded, settled):
         bodies = [e for e in ss.call_variable("kitchen") if e.kind != "sensor"]
         table = ss.call_variable("kitchen")["table"]
         centre = (table.aabb[0][2] + table.aabb[1][2]) / 2
-        assert pairs(bodies, lambda a, b: over(a, b) and b.position[2] >= a.aabb[1][2]) == ABOVE
+        pairs = [(a, b) for a, b in itertools.permutations(bodies, 2) if over(a, b)]
+        above = [(a.name, b.name) for a, b in pairs if b.position[2] >= a.aabb[1][2]]
+        assert sorted(above) == ABOVE
         below = [b.name for b in bodies if b != table and over(table, b) and b.position[2] < centre]
         assert below == ["chair_6b56", "chair_083c"]
         asked = (

@@ -58,10 +58,6 @@ ABC = (
 )
 
 
-def abc(ss, horizon):
-    run(ss, *(part.replace("H", horizon) if isinstance(part, str) else part for part in ABC))
-
-
 # (horizon, program, value)
 GIVEN = [
     # all that is kept, the horizon included
@@ -146,7 +142,7 @@ GIVEN = [
 
 @sampled(("horizon", "program", "value"), GIVEN, every=5)
 def test_what_is_given(ss, horizon, program, value):
-    abc(ss, horizon)
+    run(ss, *(part.replace("H", horizon) if isinstance(part, str) else part for part in ABC))
     assert ss.eval(program) == value
 
 

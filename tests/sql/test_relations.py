@@ -170,12 +170,6 @@ def test_random_scenes_agree_with_a_loop(relation):
 # -- the registry -------------------------------------------------------------------------------
 
 
-def argument_of(place, parameter):
-    """What a parameter may be in raw SQL: a row, a number, or a text."""
-    values = {"double": "0.5", "string": "'lid'"}
-    return values[parameter.type] if parameter.type in values else "aba"[place]
-
-
 @pytest.mark.parametrize("relation", RELATIONS.values(), ids=lambda r: r.name)
 def test_every_relation_is_complete(relation, pair):
     ss, _ = pair
@@ -186,7 +180,8 @@ def test_every_relation_is_complete(relation, pair):
     assert relation.required_count in relation.expressions
     # It is a function of rows in raw SQL, too; position needs quotes, being a word of SQL's.
     required = relation.parameters[: relation.required_count]
-    arguments = ", ".join(argument_of(n, p) for n, p in enumerate(required))
+    values = {"double": "0.5", "string": "'lid'"}
+    arguments = ", ".join(values.get(p.type, "aba"[n]) for n, p in enumerate(required))
     statement = f'SELECT "{relation.name}"({arguments}) FROM entities a, entities b'
     if relation.name == "joint":  # these boxes have none
         with pytest.raises(UnknownNameError, match="no entity of 'sim' has a joint 'lid'"):

@@ -154,14 +154,12 @@ def test_ode_logging(ode):
     assert time == ode.call_variable("space").time
     assert white == len([e for e in every if "sphere" in e.name])
     pairs = ode.eval("SELECT a.this, b.this FROM a=space, b=space AS list;")
-    together = {a for a, b in zip(pairs[::2], pairs[1::2], strict=True) if ode_collide(ode, a, b)}
+    together = {
+        a
+        for a, b in zip(pairs[::2], pairs[1::2], strict=True)
+        if ode.eval("collides(one, other);", {"one": a, "other": b})
+    }
     assert collisions == len(together) - 6
-
-
-def ode_collide(ode, a, b):
-    ode.add_variable("one", a)
-    ode.add_variable("other", b)
-    return ode.eval("collides(one, other);")
 
 
 def test_ode_interaction_and_sound(ode):
