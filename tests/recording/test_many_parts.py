@@ -186,6 +186,22 @@ def test_the_log_of_a_record_of_many_parts_is_read(run, checks, client):
         assert set(checks) == {f"entities {part}" for part in (0, 1, 2)}
 
 
+@pytest.mark.slow
+def test_parts_of_other_ticks_are_not_read(run, checks):
+    """Of another group DuckDB reads the first file, for its columns; the others may be anything."""
+    other = run / "entities" / PLACE.format(1) / "part-000007.parquet"
+    with ssduck.open(run) as ss:
+        assert ss.eval("SELECT tick FROM lab{} AS list;") == ALL
+        other.write_bytes(b"no Parquet file")
+        times = [time for time in ss.past("lab").times if time < 0.03]
+        for tick, time in enumerate(times, 1):
+            ss.add_variable("T", time)
+            assert ss.eval("SELECT tick FROM lab{T} AS value;") == tick
+        assert len(times) > 5
+        with pytest.raises(RecordError, match=other.name):
+            ss.eval("SELECT tick FROM lab{} AS list;")
+
+
 def test_missing_parts_are_noticed_at_once(run, checks):
     (run / "entities" / PLACE.format(1) / "part-000004.parquet").unlink()
     with pytest.raises(RecordError, match=r"part-000004.parquet is missing"):
