@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,12 @@ def whole_table(answered: Iterable[AnsweredEpisode]) -> pa.Table:
         told = f"no answer: {episodes} failed, as the column {ERROR!r} says: {errors[0]}"
         warn(told, ProgramWarning)
     return table
+
+
+def tables(answered: Iterator[AnsweredEpisode], size: int) -> Iterator[pa.Table]:
+    """Yields tables of so many answers each; of fewer at the end."""
+    while pending := list(islice(answered, size)):
+        yield answer_table(pending)
 
 
 def _are_records(value: Any) -> bool:

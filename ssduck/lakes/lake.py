@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.gym.terms import Reward, Terms, WhereNaN
-from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, whole_table
+from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table, tables, whole_table
 from ssduck.lakes.engines import Answerer, EngineName, How, engine_of, how_of
 from ssduck.lakes.lint import told_of
 from ssduck.lakes.manifest import (
@@ -37,6 +36,7 @@ from ssduck.lakes.manifest import (
     named_errors,
     read_manifest,
     table_of,
+    tag_column,
     write_manifest,
 )
 from ssduck.lakes.pool import pools
@@ -157,7 +157,7 @@ class Lake:
         columns["error"] = table["error"]
         for name in sorted({name for entry in self._entries for name in entry.tags}):
             if name not in columns:
-                columns[name] = _tag_column([entry.tags.get(name) for entry in self._entries])
+                columns[name] = tag_column([entry.tags.get(name) for entry in self._entries])
         return pa.table(columns)
 
     def select(self, where: str | None = None) -> pa.Table:
@@ -287,7 +287,7 @@ class Lake:
         check_in_process(limits, "stream")
         how = how_of("stream", engine, arguments)
         answered = self._answered(_program(program, limits, strict), where, how)
-        return _tables(answered, how.batch or BATCH)
+        return tables(answered, how.batch or BATCH)
 
     def score(
         self,
@@ -331,22 +331,20 @@ class Lake:
         self,
         condition: str,
         where: str | None = None,
-        engine: EngineName = "local",
         *,
         limits: Limits | None = None,
         strict: bool = False,
-        **arguments: Any,
+        **options: Any,
     ) -> list[str]:
         """Tells of a condition that never holds, always, or at the first tick of each episode.
 
         Args:
-            condition: an expression of SelectScript, as success is one. One with a query inside is
+            condition: an expression of SelectScript, as success is one; with a query inside, it is
                 asked at each tick, which takes longer.
             where: a condition on the columns of `episodes`; None for all episodes.
-            engine: as in `ask`, like the further arguments.
-            limits: see there.
-            strict: see there.
-            arguments: see there.
+            limits: as in `ask`.
+            strict: likewise.
+            options: further arguments of `ask`.
 
         Returns:
             What is told of it, a sentence each; nothing of a condition that may well be meant.
@@ -358,9 +356,9 @@ class Lake:
         validation.text(condition, "lint takes a condition")
         if limits is not None and limits.is_sandboxed:
             with SandboxedLake(self.path, limits) as lake:
-                return lake.lint(condition, where, strict=strict, engine=engine, **arguments)
+                return lake.lint(condition, where, strict=strict, **options)
         question = ConditionQuestion(condition, limits, validation.boolean(strict, "lint: strict"))
-        how = how_of("lint", engine, arguments)
+        how = how_of("lint", options.pop("engine", "local"), options)
         return told_of(condition, list(self._answered(question, where, how)))
 
     def _answered(
@@ -594,24 +592,6 @@ def _warn_of(answered: AnsweredEpisode, warned: set[str]) -> None:
             warn(f"{message}\n  first in {place}", ProgramWarning)
 
 
-def _tables(answered: Iterator[AnsweredEpisode], size: int) -> Iterator[pa.Table]:
-    """Yields tables of so many answers each; of fewer at the end."""
-    while pending := list(islice(answered, size)):
-        yield answer_table(pending)
-
-
 def _batch_size(count: int, processes: int) -> int:
     """Returns the number of episodes of a batch, so that each process has several batches."""
     return max(1, min(BATCH, -(-count // (2 * processes))))
-
-
-def _tag_column(values: Sequence[Tag | None]) -> pa.Array:
-    """Returns a column of a tag; texts if it has values of several types."""
-    types = {type(value) for value in values if value is not None}
-    if types <= {bool}:
-        return pa.array(values, pa.bool_())
-    if types <= {int}:
-        return pa.array(values, pa.int64())
-    if types <= {int, float}:
-        return pa.array(values, pa.float64())
-    return pa.array([None if value is None else str(value) for value in values], pa.string())

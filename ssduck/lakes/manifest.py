@@ -188,3 +188,15 @@ def read_manifest(file: Path) -> list[EpisodeEntry]:
     # A RecordError is an OSError.
     except (OSError, pa.ArrowException, ValueError, TypeError):
         return []
+
+
+def tag_column(values: Sequence[Tag | None]) -> pa.Array:
+    """Returns a column of a tag; texts if it has values of several types."""
+    types = {type(value) for value in values if value is not None}
+    if types <= {bool}:
+        return pa.array(values, pa.bool_())
+    if types <= {int}:
+        return pa.array(values, pa.int64())
+    if types <= {int, float}:
+        return pa.array(values, pa.float64())
+    return pa.array([None if value is None else str(value) for value in values], pa.string())
