@@ -499,11 +499,7 @@ def _beside_past(inner: ExpressionScope, alias: str, entry: FromItem) -> FromIte
 def element(outer: ExpressionScope, alias: str, node: ast.Node, inner: ExpressionScope) -> FromItem:
     """Returns a source of a nested query: a world or its past, a list, a query of its own.
 
-    Args:
-        outer: the scope of its expression.
-        alias: its alias.
-        node: the source.
-        inner: the scope of the query.
+    `outer` is the scope of its expression, `inner` the one of the query.
 
     Raises:
         NotSqlError: SQL has no such source.

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import time
 import warnings
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
+from decimal import Decimal
 from functools import partial
 from typing import Any, Protocol
 
@@ -18,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck import validation
-from ssduck.adapters.display import DisplayTable, as_json, display_table, json_key
+from ssduck.adapters.display import DisplayTable, are_numeric, as_json, display_table, readable
 from ssduck.adapters.formats import FORMATS, png_of
 from ssduck.adapters.grid_values import Grid
 from ssduck.adapters.marks import Mark, Marks
@@ -164,24 +166,42 @@ MAX_LETTERS = 100_000
 
 
 def shown_rows(rows: Iterable[Sequence[Any]], most: int = MAX_VALUES) -> list[list[Any]]:
-    """Returns the first rows as JSON; lists that are cut off end in a text that says so."""
+    """Returns the first rows as JSON; lists that are cut off end in a text that says so.
+
+    Cells are NULL, the numbers that JavaScript has exactly, and texts as the terminal shows them.
+    """
     values = _ShownValues(most)
     shown = []
     for row in rows:
         if values.left <= 0:
             break
-        shown.append(values.list_of(row))
+        shown.append(list(map(_cell, values.list_of(row))))
     return shown
 
 
+# JavaScript rounds greater integers.
+_MAX_INTEGER = 2**53
+
+
+def _cell(value: Any) -> float | str | None:
+    match value:
+        case None | str():
+            return value
+        case float() | Decimal() if math.isfinite(value):
+            return float(value)
+        case int() if not isinstance(value, bool) and abs(value) <= _MAX_INTEGER:
+            return value
+    return readable(value)
+
+
 class _ShownValues:
-    """Makes values into JSON until there are too many."""
+    """Cuts values off when there are too many."""
 
     def __init__(self, most: int) -> None:
         self.left = most
 
     def of(self, value: Any) -> Any:
-        """Returns a value as JSON, or its beginning."""
+        """Returns a value, or its beginning."""
         self.left -= 1
         match value:
             case str() | bytes() if len(value) > MAX_LETTERS:
@@ -193,7 +213,9 @@ class _ShownValues:
                 return self.list_of(value)
             case dict():
                 return self._dict_of(value)
-        return as_json(value)
+            case np.generic() | np.ndarray():
+                return value.item()
+        return value
 
     def list_of(self, values: Sequence[Any] | npt.NDArray[Any]) -> list[Any]:
         """Returns the first of some values."""
@@ -204,12 +226,12 @@ class _ShownValues:
             shown.append(self.of(value))
         return shown
 
-    def _dict_of(self, values: dict[Any, Any]) -> dict[str, Any]:
-        shown: dict[str, Any] = {}
+    def _dict_of(self, values: dict[Any, Any]) -> dict[Any, Any]:
+        shown: dict[Any, Any] = {}
         for key, value in values.items():
             if self.left <= 0:
                 return shown | {"…": _more(len(values) - len(shown))}
-            shown[json_key(key)] = self.of(value)
+            shown[key] = self.of(value)
         return shown
 
 
@@ -294,6 +316,7 @@ class Answers:
         return {
             "columns": heads_of(asked.interpreter, text, language, value, table.columns),
             "rows": rows,
+            "numeric": are_numeric(DisplayTable(table.columns, table.rows[: len(rows)])),
             "marks": everything[: len(rows)],
             "all": sorted({mark for each in everything for mark in each}),
             "lines": [] if is_why else list(_lines(world, everything)),

@@ -136,7 +136,7 @@ def _answer(value: Any) -> _Answer:
     if isinstance(value, Why):
         return _Answer(str(value.value), int(value.value is True))
     table = display_table(value)
-    rows = [[_rounded(as_json(cell)) for cell in row] for row in table.rows[:_MAX_ROWS]]
+    rows = [[_rounded(as_json(cell, words=True)) for cell in row] for row in table.rows[:_MAX_ROWS]]
     if len(rows) == len(table.columns) == 1 and rows[0][0] in (False, None):
         return _Answer(json.dumps(rows), 0)
     return _Answer(json.dumps(rows), len(table.rows))

@@ -68,6 +68,29 @@ def test_a_click_on_a_head_sorts_the_table(page):
     assert heights[1] == heights[0][::-1]
 
 
+@pytest.mark.parametrize(
+    ("type", "texts"),
+    [
+        ("hugeint", [f"-{10**37}", "0", f"{2**63 - 2}", f"{2**63 - 1}"]),  # no two are one double
+        ("double", ["-inf", "-2.5", "0", "1234567.89", "inf", "nan"]),  # DuckDB's order
+    ],
+)
+def test_numbers_are_exact_and_sorted_as_numbers(page, type, texts):
+    values = ", ".join(f"('{text}')" for text in texts[1::2] + texts[::2])
+    page.value("document.querySelector('[data-language=sql]').click(); 0")
+    page.ask(f"SELECT v::{type} AS v, '' AS e FROM (VALUES (NULL), {values}) AS t(v)")
+    page.value("document.querySelector('[data-language=selectscript]').click(); 0")
+    for order in (texts, texts[::-1]):
+        page.value("document.querySelector('#result th').click(); 0")
+        assert cells(page) == [[text, ""] for text in (*order, "NULL")]
+    styles = page.value(
+        "[...document.querySelectorAll('#result td:first-child')]"
+        ".map(cell => [getComputedStyle(cell).textAlign, Number(getComputedStyle(cell).opacity)])"
+    )
+    assert {align for align, _ in styles} == {"right"}
+    assert [opacity < 1 for _, opacity in styles] == [False] * len(texts) + [True]
+
+
 # Keeps the files that the page makes, instead of a browser's folder of downloads.
 CAUGHT = """
 window.files = [];

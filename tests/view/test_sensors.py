@@ -52,7 +52,8 @@ def asked(page, text, language="selectscript", **more):
 
 
 def rows(ss, program):
-    return [list(row.values()) for row in ss.eval(program)]
+    shown = [list(row.values()) for row in ss.eval(program)]
+    return [[str(cell) if isinstance(cell, list) else cell for cell in row] for row in shown]
 
 
 def check_same(ss, page):

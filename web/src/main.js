@@ -413,7 +413,7 @@ function tableOf(answer) {
   answer.columns.forEach((name, column) => {
     const isSorted = state.sorted?.column === column;
     const cell = element("th", name + (isSorted ? (state.sorted.isUp ? " ▴" : " ▾") : ""));
-    if (answer.rows.some((row) => typeof row[column] === "number")) cell.className = "number";
+    if (answer.numeric[column]) cell.className = "number";
     pressable(cell, () => {
       state.sorted = { column, isUp: !(isSorted && state.sorted.isUp) };
       showAnswer();
@@ -424,16 +424,18 @@ function tableOf(answer) {
   const order = answer.rows.map((_, index) => index);
   if (state.sorted) {
     const { column, isUp } = state.sorted;
-    order.sort((a, b) => (isUp ? 1 : -1) * compare(answer.rows[a][column], answer.rows[b][column]));
+    const values = answer.rows.map((row) => (answer.numeric[column] ? numberOf(row[column]) : row[column]));
+    order.sort((a, b) => compare(values[a], values[b], isUp ? 1 : -1));
   }
   const body = table.createTBody();
   for (const index of order) {
     const row = body.insertRow();
-    for (const value of answer.rows[index]) {
+    answer.rows[index].forEach((value, column) => {
       const cell = row.insertCell();
       cell.textContent = cell.title = textOf(value);
-      if (typeof value === "number") cell.className = "number";
-    }
+      cell.classList.toggle("number", answer.numeric[column]);
+      cell.classList.toggle("null", value === null);
+    });
     if (parts) row.cells[0].style.paddingLeft = `${8 + INDENT * parts[index].depth}px`;
     const marks = answer.marks[index];
     if (!marks.length) continue;
@@ -448,16 +450,25 @@ function tableOf(answer) {
   return table;
 }
 
-function compare(a, b) {
+// Numbers that a double or JSON lacks come as texts: long integers, inf, -inf and nan.
+function numberOf(value) {
+  if (typeof value !== "string") return value;
+  return /^-?\d+$/.test(value) ? BigInt(value) : Number(value.replace("inf", "Infinity"));
+}
+
+// As in DuckDB, NaN is greater than infinity, and NULL comes last in either order.
+function compare(a, b, sign) {
   if (a === null || b === null) return (a === null) - (b === null);
-  if (typeof a === "number" && typeof b === "number") return a - b;
-  return textOf(a).localeCompare(textOf(b), undefined, { numeric: true });
+  if (typeof a === "string" || typeof b === "string") {
+    return sign * textOf(a).localeCompare(textOf(b), undefined, { numeric: true });
+  }
+  return sign * (a < b ? -1 : a > b ? 1 : Number.isNaN(a) - Number.isNaN(b));
 }
 
 function textOf(value) {
-  if (value === null) return "";
-  if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(6)));
-  return typeof value === "object" ? JSON.stringify(value) : String(value);
+  if (value === null) return "NULL";
+  if (typeof value !== "number" || Number.isInteger(value)) return String(value);
+  return String(Number(value.toPrecision(Math.abs(value) < 1e6 ? 6 : 15)));
 }
 
 at("run").onclick = run;
