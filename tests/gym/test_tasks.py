@@ -118,6 +118,11 @@ def test_a_task_runs(folder):
         ('scene = "push.xml"', 'scene = "pusch.xml"', r"scene: there is no file .*'push\.xml'"),
         ('joint = "push"', 'joint = "pus"', r"actions\[0\]\.joint: pusher has no joint 'pus'"),
         ("high = 1\n", "high = 99\n", r"actions\[0\]\.high: pusher: "),
+        (
+            'ball = "x(sim.ball)"',
+            "ball = \"IF(getTime() > 0.03; joint(sim.pusher, 'x'); 1)\"",
+            r"task.toml: observation\['ball'\]: no joint of push has the name 'x'",
+        ),
         ('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"", "eval is switched off"),
     ],
     every=2,
@@ -140,8 +145,8 @@ def test_errors_name_file_and_key(folder, before, after, message):
         ),
         (
             'ball = "x(sim.ball)"',
-            "ball = \"IF(getTime() > 0.03; joint(sim.pusher, 'x'); 1)\"",
-            r"observation\['ball'\]: pusher has no joint 'x'",
+            'ball = "IF(getTime() > 0.03; log(-1); 1)"',
+            r"observation\['ball'\]: log does not take",
         ),
     ],
 )

@@ -217,6 +217,7 @@ CALLS = {
     "Lake.ask(batch)": ("above 0", True, lambda t, v: t.lake.ask("1;", batch=v, processes=1)),
     "Lake.ask(progress)": ("flag", False, lambda t, v: t.lake.ask("1;", progress=v, processes=1)),
     "Lake.ask(strict)": ("flag", False, lambda t, v: t.lake.ask("1;", strict=v, processes=1)),
+    "Lake.lint(strict)": ("flag", False, lambda t, v: t.lake.lint("1 > 0;", strict=v, processes=1)),
     "Lake.tag(strict)": ("flag", False, lambda t, v: t.lake.tag("n", "1;", strict=v, processes=1)),
     "Lake.refresh(forget_missing)": ("flag", False, lambda t, v: t.lake.refresh(forget_missing=v)),
     "open(episode)": ("id", True, lambda t, v: ssduck.open(t.record, episode=v)),

@@ -204,9 +204,18 @@ def _skipped_places(node: ast.Node, *, is_skipped: bool) -> Iterator[ast.Node]:
         case ast.Name() | ast.Index(base=ast.Name(), indices=(ast.Literal(), *_)) if is_skipped:
             yield node
             return
-    joins = isinstance(node, ast.If | ast.OperatorChain | ast.Binary)
     for number, child in enumerate(node.children()):
-        yield from _skipped_places(child, is_skipped=is_skipped or (joins and number > 0))
+        yield from _skipped_places(child, is_skipped=is_skipped or (number > 0 and _decides(node)))
+
+
+def _decides(node: ast.Node) -> bool:
+    """Checks whether the first part of a node may leave others without evaluation."""
+    match node:
+        case ast.If() | ast.Binary(operator="AND" | "OR"):
+            return True
+        case ast.OperatorChain(operators=operators):
+            return operators[0] in ("AND", "OR")
+    return False
 
 
 def _of_nothing(
