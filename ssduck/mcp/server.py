@@ -10,7 +10,9 @@ import contextlib
 import json
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -154,6 +156,7 @@ def create_server(
         "ssduck",
         instructions="Ask about a robot simulation. Read `schema` first; an error says what to "
         "write instead.",
+        version=version("ssduck"),
         log_level="WARNING",
     )
     answers: Answers = (
@@ -176,26 +179,31 @@ class _Asking:
     def __init__(self, answers: Answers, turns: _Turns) -> None:
         self._answers, self._turns = answers, turns
 
-    async def _answer(self, method: Callable[..., T], *arguments: Any) -> T:
-        """Returns the answer to a question, unless the agent cancels it."""
+    async def _answer(self, method: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
+        """Returns the answer to a question and its warnings, unless the agent cancels it."""
 
-        def answer() -> T:
-            with _errors_as_texts():
-                return method(*arguments)
+        def answer() -> tuple[T, list[str]]:
+            with _told_to_agent() as told:
+                result = method(*arguments)
+            return result, _as_texts(told)
 
         return await self._turns.answer(answer)
 
-    async def schema(self) -> str:
-        """Explains how to write queries, and lists worlds, entities, tables and functions."""
-        return await self._answer(self._answers.schema)
+    async def _texts(self, method: Callable[..., str], *arguments: Any) -> list[str]:
+        text, told = await self._answer(method, *arguments)
+        return [text, *told]
 
-    async def help(self, name: str) -> str:
+    async def schema(self) -> list[str]:
+        """Explains how to write queries, and lists worlds, entities, tables and functions."""
+        return await self._texts(self._answers.schema)
+
+    async def help(self, name: str) -> list[str]:
         """Describes a function, a relation or a result form: its arguments, units and result."""
-        return await self._answer(self._answers.help, name)
+        return await self._texts(self._answers.help, name)
 
     async def query(
         self, program: str, language: Language = "selectscript", max_rows: int = 100
-    ) -> str:
+    ) -> list[str]:
         """Runs a program, and returns its result as JSON; infinities and NaN are texts.
 
         A large result is an object with the first rows, `rows`, their whole `count` and a `note`.
@@ -207,7 +215,7 @@ class _Asking:
             language: SelectScript, or SQL: one SELECT.
             max_rows: the largest number of rows to return.
         """
-        return await self._answer(self._answers.query, program, language, max_rows)
+        return await self._texts(self._answers.query, program, language, max_rows)
 
     async def picture(
         self,
@@ -215,7 +223,7 @@ class _Asking:
         language: Language = "selectscript",
         width: int = 960,
         height: int = 720,
-    ) -> Image:
+    ) -> list[Image | str]:
         """Renders the world as PNG; the entities and links that a program selects stand out.
 
         A result that is a picture, such as that of `AS occupancygrid`, is returned as it is.
@@ -227,19 +235,27 @@ class _Asking:
             width: pixels; more than 2,000 are 2,000.
             height: likewise.
         """
-        data = await self._answer(self._answers.picture, program, language, width, height)
-        return Image(data=data, format="png")
+        answers = self._answers
+        png, told = await self._answer(answers.picture, program, language, width, height)
+        return [Image(data=png, format="png"), *told]
 
-    async def episodes(self) -> str:
+    async def episodes(self) -> list[str]:
         """Lists the episodes of the record as JSON: world, number, ticks, times (s), tables."""
-        return await self._answer(self._answers.episodes)
+        return await self._texts(self._answers.episodes)
 
 
 @contextlib.contextmanager
-def _errors_as_texts() -> Iterator[None]:
-    """Sends what programs print to standard error, and makes errors texts for the agent."""
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
-    except SelectScriptError as error:
-        raise ToolError(printable(f"{type(error).__name__}: {error}", kept="\n")) from error
+def _told_to_agent() -> Iterator[list[warnings.WarningMessage]]:
+    """Lists warnings, makes errors texts, and sends what programs print to standard error."""
+    with warnings.catch_warnings(record=True) as told, contextlib.redirect_stdout(sys.stderr):
+        warnings.simplefilter("always")
+        try:
+            yield told
+        except SelectScriptError as error:
+            text = printable(f"{type(error).__name__}: {error}", kept="\n")
+            raise ToolError("\n".join([text, *_as_texts(told)])) from error
+
+
+def _as_texts(told: list[warnings.WarningMessage]) -> list[str]:
+    texts = dict.fromkeys(str(each.message) for each in told)
+    return [printable(f"warning: {text}", kept="\n") for text in texts]

@@ -85,6 +85,31 @@ def test_an_integer_that_python_does_not_write_is_described(kitchen, program):
     )
 
 
+@pytest.mark.parametrize("in_sandbox", [True, False])
+def test_warnings_follow_what_they_are_about(kitchen, in_sandbox):
+    with ssduck.load("kitchen") as own:
+        server = create_server(kitchen if in_sandbox else own)
+
+        async def ask(tool, program):
+            async with Client(server) as client:
+                return await client.call_tool(tool, {"program": program})
+
+        program = "SELECT obj FROM kitchen WHERE above(this, kitchen.table){} AS list;"
+        told = (
+            "warning: above(this, kitchen.table) asks whether",
+            "write above(kitchen.table, this)",
+        )
+        answer = anyio.run(ask, "query", program.format(""))
+        rows, warning = (content.text for content in answer.content)
+        assert json.loads(rows) == []
+        assert all(part in warning for part in told)
+        failed = anyio.run(ask, "query", program.format(" OR 1 / (z - z) > 1"))
+        assert failed.is_error
+        assert all(part in failed.content[0].text for part in ("EvaluationError", *told))
+        answer = anyio.run(ask, "picture", program.format(" OR isRobot(this)"))
+        assert [content.type for content in answer.content] == ["image", "text"]
+
+
 def test_the_schema_tells_all_names(kitchen):
     text = text_of(create_server(kitchen), "schema")
     for name in (*TABLES, *kitchen.help(), *(entity.name for entity in kitchen.worlds[0])):
