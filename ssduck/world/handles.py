@@ -53,6 +53,9 @@ class WorldArchive(Protocol):
     def at(self, tick: int) -> World:
         """Returns the world at a tick."""
 
+    def numbers(self, tick: int, id: int, first: str, last: str) -> list[float]:
+        """Returns recorded doubles of an entity at a tick; [] if there are none."""
+
     def entity(self, tick: int, id: int) -> Entity:
         """Returns the handle of an entity at a tick."""
 

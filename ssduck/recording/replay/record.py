@@ -46,7 +46,7 @@ from ssduck.simulators.partial import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
 from ssduck.world.handles import Handle, RecordedTick, handle_of
 from ssduck.world.layout import EntityInfo, margins_of
-from ssduck.world.snapshot import Snapshot
+from ssduck.world.snapshot import RECORDED_DOUBLES, Snapshot
 from ssduck.world.world import World
 
 Ticks: TypeAlias = npt.NDArray[np.int64]
@@ -316,6 +316,22 @@ class Record:
                 f"{self.dropped_ticks_message}"
             )
         return place
+
+    def numbers(self, tick: int, id: int, first: str, last: str) -> list[float]:
+        """Returns recorded doubles of the row of an entity, from a column to a later one.
+
+        They are those of the world at the tick, which is not restored for them; [] if there are
+        none.
+        """
+        with self.world.lock:
+            self._index_of(tick)
+            rows = self.rows("entities", tick)
+            index = np.flatnonzero(rows["id"] == id)
+            if first not in RECORDED_DOUBLES or not len(index):
+                return []
+            names = RECORDED_DOUBLES[RECORDED_DOUBLES.index(first) :]
+            names = names[: names.index(last) + 1]
+            return [float(rows[name][index[0]]) for name in names]
 
     def link_poses(self, ticks: Ticks, rows: Indices, id: int, link: int) -> Array:
         """Returns the poses of a link of an entity at the ticks of some rows, (rows, 7)."""

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
+from ssduck.recording.replay.record import Record
 from tests.support.bodies import solid
 from tests.support.cases import generated, sampled
 from tests.support.pasts import ALL, _falling, _step
@@ -494,3 +495,20 @@ def test_a_tick_that_is_recorded_later_is_told_of_with_the_whole_record(falling)
         falling.eval(f"holds(at({end}, z(ball)) < z(ball));")
     with pytest.raises(EvaluationError, match=f"to {end:g} s; there is no tick at 9 s"):
         falling.eval("holds(at(9.0, z(ball)) < z(ball));")
+
+
+def test_no_tick_is_restored_for_the_numbers_of_its_rows(falling, monkeypatch):
+    _step(falling, 20)
+    restored, restore = [], Record.restore
+    monkeypatch.setattr(Record, "restore", lambda *both: restored.append(both) or restore(*both))
+    handles = falling.eval("SELECT this FROM lab{} AS list;")
+    sums = falling.eval("SELECT this, 1 FROM lab{} AS plane('XZ', [-5, -5], [100, 100, 0.1]);")
+    numbers = [[*one.pose, *one.velocity, *sum(one.aabb, [])] for one in handles]
+    assert restored == []
+    assert sums.cells.sum() == len(handles) > 40
+    columns = "qw qx qy qz x y z vx vy vz wx wy wz xmin ymin zmin xmax ymax zmax".split()
+    assert numbers == [[one.column(name) for name in columns] for one in handles]
+    assert len({tick for _, tick in restored}) == 20  # the last tick is the world itself
+    falling.record("lab", None)
+    with pytest.raises(EvaluationError, match="kept no longer"):
+        handles[0].position
