@@ -74,6 +74,18 @@ class GivenBodies:
             )
         return changed
 
+    def warn_of_reset(self, bodies: Iterable[Body]) -> None:
+        """Warns of bodies that were built again and have their names no longer."""
+        forms = self._forms or {}
+        again = [b.handle for b in bodies if _form(b) == forms.get(b.handle)]
+        if again and not self.names and not self.kinds:
+            names = joined_names([str(self._all[0].get(handle, handle)) for handle in again])
+            warn(
+                f"{names}: all bodies were built again, and the names and kinds of World.attach do "
+                "not go on to new bodies: call world.begin_episode() after resetSimulation",
+                ProgramWarning,
+            )
+
     def end(self) -> None:
         """Says nothing of the bodies that are described next."""
         self.names, self.kinds, self.shapes = {}, {}, {}
