@@ -116,13 +116,9 @@ def display_table(value: Any, max_rows: int | None = None) -> DisplayTable:
     return table if max_rows is None else table.shortened(max_rows)
 
 
-# The columns of DuckDB's EXPLAIN.
-_EXPLANATION = ["explain_key", "explain_value"]
-
-
 def readable_table(value: Any, max_rows: int | None = None) -> DisplayTable:
     """Returns what people read of a value: DuckDB's plans and trees as they are, others as rows."""
-    if isinstance(value, RowsOfColumns) and value.columns == _EXPLANATION:
+    if isinstance(value, RowsOfColumns) and value.columns == ["explain_key", "explain_value"]:
         plans = [[plan.rstrip("\n")] for _, plan in value]
         return DisplayTable(["value"], plans, named=False)
     if isinstance(value, Why):

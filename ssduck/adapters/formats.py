@@ -66,7 +66,6 @@ class _LineEnds:
     stream: TextIO
 
     def write(self, line: str) -> None:
-        """Writes a line."""
         self.stream.write(f"{line[:-2]}\n")
 
 
@@ -197,11 +196,9 @@ class _Terminal(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """The encoding of standard output."""
         return sys.stdout.encoding
 
     def write(self, text: str) -> int:
-        """Writes a text."""
         return sys.stdout.write(printable(text, kept="\n\t"))
 
 
