@@ -226,7 +226,6 @@ def _demonstrate_scene(
 
 
 def _created_folder(folder: Path) -> Path:
-    """Returns a folder, which it creates if necessary."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from ssduck.limits import Limits
     from ssduck.world.world import World
 
-# The suffix of DuckDB files.
-_DUCKDB_SUFFIX = ".duckdb"
-
 _Duration = Annotated[
     float, option("The simulated time, s, rounded to whole steps of the scene.", "T", least=0.0)
 ]
@@ -92,7 +89,7 @@ def record(
         flush_every=flush_every,
     )
     tags = dict(map(parsed_tag, tag or ()))
-    to_file = output.suffix == _DUCKDB_SUFFIX
+    to_file = output.suffix == ".duckdb"
     with signals.deferred() as received:
         database = output if to_file else ":memory:"
         with load(scene, database, recording=None) as ss:
