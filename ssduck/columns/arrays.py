@@ -341,6 +341,5 @@ def _by_c_library(values: ArrayValues, name: str, *parts: Any) -> Array:
 
 
 def _by_numpy(values: ArrayValues, name: str, *parts: Any) -> Array:
-    """Returns the values of a function as numpy computes them."""
     numbers = (np.asarray(part, dtype=np.float64) for part in parts)
     return _known(_REAL_FUNCTIONS[name](*numbers), values)

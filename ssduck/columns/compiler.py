@@ -292,7 +292,6 @@ class Compiler:
         return self.applied("boolean", _COMPARISONS[type(sql)], left, right)
 
     def _logic(self, sql: exp.Expr) -> Expression:
-        """Returns a negation, a conjunction or a disjunction of conditions."""
         first, operations = self._boolean(sql.this), self._operations
         if isinstance(sql, exp.Not):
             return self.applied("boolean", "not", first)
