@@ -130,7 +130,6 @@ class BoundWorld:
         return self._poses[key]
 
     def _read_poses(self, tick: int, table: EntityTable) -> Poses:
-        """Returns the poses of the entities or links at a tick, by id."""
         snapshot = self.world.snapshot
         poses: Poses = {}
         if tick == snapshot.number:
@@ -281,7 +280,6 @@ class BoundWorld:
             )
 
     def _name(self, id: int) -> str:
-        """Returns the present name of the entity of an id."""
         members = (member for member in self.world.snapshot.entities if member.id == entity_of(id))
         return next((member.name for member in members), f"entity {entity_of(id)}")
 
@@ -345,7 +343,6 @@ class BoundWorld:
         return owners
 
     def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
-        """Returns the columns of a table at a recorded tick."""
         if self.history is None:
             raise UnsupportedError(no_ticks_message(self.world.name))
         record = self.history.record

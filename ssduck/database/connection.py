@@ -155,7 +155,6 @@ class Connection(StatementRunner):
         self.run("SET lock_configuration = true")
 
     def _cursor(self) -> duckdb.DuckDBPyConnection:
-        """Returns another connection to the database."""
         cursor = self._instance.cursor()
         if self.is_file:
             cursor.execute(f"USE {FILE_NAME}")

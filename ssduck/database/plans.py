@@ -156,7 +156,6 @@ class KeptPlans:
         return read
 
     def _operators(self, sql: str) -> Iterator[dict[str, Any]]:
-        """Yields the operators of a statement's plan."""
         ((_, text),) = self._connection.internal_rows(f"EXPLAIN (FORMAT json) {sql}")
         operators = json.loads(text)
         while operators:
@@ -214,7 +213,6 @@ class _CurrentRows:
 
 
 def _is_scan(operator: Mapping[str, Any]) -> bool:
-    """Checks whether an operator of a plan scans a table."""
     return "Function" in operator["extra_info"]
 
 

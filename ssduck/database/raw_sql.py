@@ -117,7 +117,6 @@ _ALL_SHOWN = (
     f"FROM (SHOW ALL TABLES) WHERE {_IS_NO_RUN.format('schema')} "
     f"AND (database <> 'temp' OR {_IS_SHOWN}) ORDER BY database, schema, name"
 )
-_SCHEMAS_SHOWN = f"FROM (SHOW SCHEMAS) WHERE {_IS_NO_RUN.format('schema_name')}"
 # The names of what users have defined in the schema that comes before that of the first world.
 _OWN_NAMES = (
     "SELECT lower(table_name) FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
@@ -390,7 +389,7 @@ def _without_ticks(sql: str) -> str:
     """Returns a statement that shows tables without those in which ssduck keeps ticks."""
     if (shown := _SHOW.fullmatch(COMMENT.sub(" ", sql))) is not None:
         if shown["schemas"]:
-            return _SCHEMAS_SHOWN
+            return f"FROM (SHOW SCHEMAS) WHERE {_IS_NO_RUN.format('schema_name')}"
         return _ALL_SHOWN if shown["all"] else _SHOWN
     if "'" in sql or not _NESTED_SHOW.search(sql):  # it may be a part of a text
         return sql
@@ -399,7 +398,6 @@ def _without_ticks(sql: str) -> str:
     )
 
 
-# The views that ssduck leaves in a file.
 _OWN_VIEWS = [
     *(table.history_view for table in HISTORIES.values()),
     *(table.model_view for table in MODELS.values()),

@@ -148,7 +148,6 @@ class StatementRunner(ABC):
         self._connection = connection
         self._tracer = tracer
         self.meter = UsageMeter(limits)
-        # A record that is read.
         self._opened: OpenedRecord | None = None
         # The attached file with a record.
         self._attached: Path | None = None

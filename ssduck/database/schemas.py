@@ -232,7 +232,6 @@ def _make_view(connection: Connection, schema: str, name: str, rows: str) -> Non
 
 
 def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Connection) -> None:
-    """Creates the view of a table at the current tick."""
     if table.view_columns:
         connection.on_demand.make((schema, "entities"), connection)
     _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
@@ -254,7 +253,6 @@ def _make_history_view(
 def _define_history_view(
     schema: str, bound: BoundWorld, table: Table, connection: Connection
 ) -> None:
-    """Creates the view of a table at all recorded ticks."""
     history, rows = bound.history, None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
@@ -297,7 +295,6 @@ def register_rows(
 
 
 def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str:
-    """Returns the message that a table of a world has no history."""
     if history is None:
         return not_recorded_message(table.source, world, None)
     recording, is_live = history.store.recording, history.recorder is not None
@@ -496,7 +493,6 @@ def drop_statements(world: str, macros: Iterable[str]) -> Iterator[str]:
 
 
 def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
-    """Yields the comments on the tables of a world."""
     for name, table in TABLES.items():
         columns = table.shown_columns
         comments = {column.name: column.comment for column in columns}

@@ -125,7 +125,6 @@ def named_worlds(words: StatementWords, bound: Sequence[BoundWorld]) -> list[int
 
 
 _HISTORIES = {table.history_view.lower(): table for table in HISTORIES.values()}
-_IDENTIFIERS = ("name", "id")
 
 
 @dataclass(frozen=True)
@@ -246,7 +245,7 @@ class Scope:
             if not isinstance(part, exp.EQ | exp.In) or part.args.get("query") is not None:
                 continue
             columns = [side for side in sides if isinstance(side, exp.Column)]
-            if len(columns) == 1 and columns[0].name.lower() in _IDENTIFIERS:
+            if len(columns) == 1 and columns[0].name.lower() in ("name", "id"):
                 table = columns[0].table.lower()
                 if table == source or (not table and len(self.items) == 1):
                     return True

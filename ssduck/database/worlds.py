@@ -219,7 +219,6 @@ class WorldRegistry:
         self._update_names()
 
     def _update_names(self) -> None:
-        """Updates the names of the worlds."""
         self.set_search_path()
         names = {schema: bound for bound in self.bound for schema in bound.schemas}
         self.by_schema.clear()
@@ -261,7 +260,6 @@ class WorldRegistry:
         return bool(unused)
 
     def _check_schema(self, name: str) -> None:
-        """Checks the name of a world."""
         validation.world_name(name)
         run_schemas: Sequence[tuple[str]] = ()
         if self._connection.has_records and RUN_SCHEMA in name.casefold():

@@ -71,7 +71,6 @@ class WriterConnection:
         self._run_on_rows(f"CREATE TABLE {place} AS", rows)
 
     def _run_on_rows(self, statement: str, rows: pa.Table) -> None:
-        """Runs a statement that reads all rows of a table."""
         with self._lock, _storing_errors():
             self._connection.register(_INCOMING, rows)
             try:
