@@ -108,7 +108,6 @@ def _prolog(_: Interpreter, target: Path, question: Question) -> Sequence[str]:
 
 
 def _clingo(ss: Interpreter, _: Path, question: Question) -> Sequence[str]:
-    """Returns the answers of clingo."""
     import clingo
 
     facts = ss.eval(CLAUSES.format(f"asp(scale={SCALE})"))
