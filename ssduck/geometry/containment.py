@@ -189,7 +189,6 @@ def _height_range(hull: WorldHull, placed: PlacedSolid) -> tuple[float, float]:
 
 
 def _volume_inside(hull: WorldHull, crossing: Sequence[PlacedSolid]) -> float:
-    """Returns the volume of shapes within a hull."""
     parts, weights = [], []
     for placed in crossing:
         surface = placed.solid.closed_surface

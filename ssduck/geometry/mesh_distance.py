@@ -167,7 +167,6 @@ def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Co
 
 
 def _fcl_point(point: Array) -> Any:
-    """Returns a point as an FCL object."""
     import fcl
 
     return fcl.CollisionObject(_point().bvh, fcl.Transform(point))

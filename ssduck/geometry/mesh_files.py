@@ -97,7 +97,6 @@ class _FilesBeside:
     folder: Path
 
     def get(self, name: str) -> bytes:
-        """Returns the content of a file."""
         file = (self.folder / name).resolve()
         if not file.is_relative_to(self.folder.resolve()):
             raise ValueError(f"{file} is not beside it")

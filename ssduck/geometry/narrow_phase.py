@@ -504,7 +504,6 @@ class NarrowPhase:
 
 
 def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list[int]:
-    """Returns the shapes of an entity that have points."""
     return [
         shape for shape in range(starts[e], starts[e + 1]) if not tick.table.solids[shape].is_empty
     ]

@@ -194,7 +194,6 @@ class ShapeQueries:
         return self._pairs(PairPredicate("touching", max_distance))
 
     def _pairs(self, predicate: PairPredicate) -> IdPairs:
-        """Returns the pairs for which a predicate holds."""
         if predicate not in self._pairs_by_predicate:
             places = self._places_by_number
             first, second = (places.take(side) for side in self._all_pairs(predicate))
@@ -527,7 +526,6 @@ class _Numbers(dict[int, int]):
     empty = 0
 
     def __missing__(self, id: int) -> int:
-        """Returns the number of a link without shapes."""
         if id < LINK_FACTOR:
             raise KeyError(id)
         return self.empty

@@ -47,7 +47,6 @@ class Found(dict[int, T]):
         self._find = find
 
     def __missing__(self, number: int) -> T:
-        """Returns what nobody asked for yet."""
         self[number] = found = self._find(number)
         return found
 
