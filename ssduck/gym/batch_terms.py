@@ -130,7 +130,6 @@ class BatchTerms:
         return BatchJudgement(success, failure, stop, reward, given)
 
     def _unknown_error(self, term: Term, unknown: Flags) -> ArgumentError:
-        """Returns the error of a term that has no value in some environments."""
         numbers = np.flatnonzero(unknown)
         named = joined_names([str(number) for number in numbers], 5)
         with self._world.at(int(numbers[0])):

@@ -227,7 +227,6 @@ class Judge:
         self._folds.settle()
 
     def _judgement(self) -> Judgement:
-        """Returns the values of the terms at the present tick."""
         try:
             values = self._interpreter.eval(self._program)
         except SelectScriptError as error:
@@ -533,7 +532,6 @@ def _held_conditions(node: ast.Node) -> Iterator[ast.Node]:
 
 
 def _unsigned(node: ast.Node) -> ast.Node:
-    """Returns an expression without its signs."""
     return _unsigned(node.operand) if isinstance(node, ast.Unary) else node
 
 

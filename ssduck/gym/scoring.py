@@ -209,7 +209,6 @@ def _until_stop(judgements: Iterable[Judgement]) -> Iterator[Judgement]:
 
 
 def _seek(replayed: ReplayedWorld, steps: EpisodeSteps, index: int, *, is_by_time: bool) -> None:
-    """Moves a world to the tick of a step."""
     time = steps.times[index]
     if is_by_time:
         replayed.seek(time)

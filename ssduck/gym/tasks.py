@@ -47,7 +47,6 @@ STEP_TIME = 0.02
 MAX_STEPS = 100_000
 # The largest size of a task file, bytes.
 MAX_BYTES = 10_000_000
-# The keys of a task file.
 _KEYS = (
     *("scene", "success", "failure", "stop_when", "reward", "nan", "observation", "variables"),
     *("actions", "starts", "seeds", "steps", "step_time"),
@@ -364,7 +363,6 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             error.message = f"{self.task.path}: {error.message}"
 
     def _entity(self, key: str, name: str) -> Any:
-        """Returns an entity."""
         try:
             return self._world[name]
         except SelectScriptError as error:
@@ -384,7 +382,6 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
 
 
 def _drive(entity: Any, action: Action, target: float) -> None:
-    """Sets the target of the joint of an action."""
     kind = "positions" if action.control == "position" else "velocities"
     entity.drive(**{kind: {action.joint: target}})
 
@@ -510,7 +507,6 @@ def task_env(path: str | Path, limits: Limits) -> TaskEnv:
 
 
 def _scene(task: Task) -> Scene:
-    """Reads the scene of a task."""
     place, folder = task.scene.resolve(), task.path.parent
     if not place.exists():
         names: list[str] = []

@@ -72,7 +72,6 @@ class Term:
         )
 
     def _number(self, value: Any) -> float:
-        """Returns a number as a float."""
         try:
             return float(value)
         except OverflowError:

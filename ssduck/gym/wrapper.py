@@ -240,7 +240,6 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         return observation, reward, terminated, truncated, info | {INFO: told}
 
     def _take_tick(self, simulation: World, steps: EpisodeSteps) -> None:
-        """Takes the tick of a step."""
         run = simulation.snapshot.run
         if self._client is None or self._step_time is None:
             simulation.tick()
@@ -400,7 +399,6 @@ def described(judgement: Judgement | BatchJudgement) -> dict[str, Any]:
 
 
 def _checked_variables(variables: Mapping[str, VariableReader] | None) -> dict[str, VariableReader]:
-    """Returns the variables."""
     checked = validation.mapping(variables, "variables: give a dict of functions by name")
     for name, read in checked.items():
         check_name(name, "a variable")
