@@ -346,7 +346,6 @@ def _vectors(values: Array) -> pa.Array:
 
 
 def _statistics(values: Array) -> dict[str, list[float] | list[int]]:
-    """Returns the statistics of a feature in an episode, of each number."""
     result: dict[str, Any] = {
         "min": values.min(axis=0).tolist(),
         "max": values.max(axis=0).tolist(),

@@ -282,7 +282,6 @@ def _rows_of(file: Path, columns: Sequence[str], **chosen: Any) -> pa.Table:
 
 
 def _file(folder: Path, name: str) -> Path:
-    """Returns the path of a file of a dataset."""
     file = folder / name
     if not file.is_file():
         raise RecordError(f"{file} cannot be read: there is no such file")

@@ -195,8 +195,6 @@ def _one_line(text: str) -> str:
 
 @dataclass(frozen=True)
 class _Source:
-    """What a script is of."""
-
     tables: frozenset[str]
     has_record: bool
 

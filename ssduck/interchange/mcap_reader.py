@@ -151,7 +151,6 @@ class _Told:
     def place(
         self, told: Any, logged: int, parent: str, name: str, position: Any, turn: Any
     ) -> None:
-        """Adds the pose of a frame in another one."""
         if not name:
             raise ValueError("a message tells of a frame without a name")
         pose = position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z
@@ -233,7 +232,6 @@ class _Ticks:
 
 
 def _in_order(told: _Told) -> _Ordered:
-    """Returns what a file tells of frames, in the order of time."""
     moments = _moments(told)
     order = np.argsort(moments, kind="stable")
     poses = np.array(told.poses).reshape(-1, len(POSE))

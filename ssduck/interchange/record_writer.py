@@ -441,7 +441,6 @@ class _RowMaker:
 
     @cached_property
     def _bodies(self) -> BodyGroup:
-        """The bodies."""
         return TableLayout(self.entities, is_external=True).moving_bodies
 
     def _link_rows(self, batch: PoseBatch, ticks: Indices, block: Array) -> pa.Table:
