@@ -240,7 +240,6 @@ def _names_in_text(place: _Place) -> Iterator[Completion]:
 
 
 def _entities(place: _Place, worlds: Iterable[World]) -> Iterator[Completion]:
-    """Yields the names of entities."""
     for world in worlds:
         for info in world.snapshot.entities:
             yield place.completion(info.name, "entity", about=f"A {info.kind} of {world.name}.")

@@ -317,7 +317,6 @@ class Interpreter(PublicNames):
         return self._forms.result(node, frame, as_clause_of(node, frame))
 
     def _eval_as_arguments(self, node: ast.Query, frame: Frame) -> tuple[Any, ...]:
-        """Returns the arguments of `evalAs`."""
         resolved, values = self._planner.resolved_parts(node, frame)
         columns, names = SelectedColumns(node, resolved.columns, frame), aliases_of(node)
         condition, elements = resolved.query.where, SourceElements(values)

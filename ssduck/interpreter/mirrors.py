@@ -362,7 +362,6 @@ class _PastCopy:
     ids: Snapshot
 
     def apply(self, news: WorldNews, members: Mapping[int, EntityInfo]) -> None:
-        """Takes over what is new."""
         if members:
             self.store.add_members(members.values(), self.ids)
             self.members.update(members)

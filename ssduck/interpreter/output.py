@@ -234,7 +234,6 @@ def help_of_result_form(name: str) -> str | None:
 
 
 def _with_limit(query: ast.Query, count: int, frame: Frame) -> ast.Query:
-    """Returns the query with a limit on its rows."""
     if query.limit is not None:
         count = min(count, checked_count(frame.value(query.limit), "LIMIT", query.limit))
     return replace(query, limit=ast.Literal(query.span, count))

@@ -202,7 +202,6 @@ class Planner:
     def _run_planned(
         self, query: ast.Query, frame: Frame, check: Callable[[Any], None], purpose: Purpose
     ) -> Selected:
-        """Runs a query by its plan."""
         types = self._types_in(frame)
         planned, values = self._plan_for(query, frame, types, purpose)
         worlds = planned.plan.worlds
@@ -302,7 +301,6 @@ class Planner:
     def _run_row_by_row(
         self, query: ast.Query, frame: Frame, check: Callable[[Any], None]
     ) -> Selected:
-        """Runs a query row by row."""
         changed = states(query)
         values = [
             [] if mentions(source.value, changed) else frame.value(source.value)

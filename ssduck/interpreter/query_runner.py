@@ -119,7 +119,6 @@ class PlannedQuery:
         return self.plan.python_clauses.columns
 
     def _column_reader(self, output: OutputColumn) -> Thunk:
-        """Returns a function that reads the value of an SQL column from a frame."""
         index, convert = output.index, self._converters[output.sql_type]
         if convert is None:
             return lambda frame: frame.columns[index]
@@ -212,7 +211,6 @@ class PlannedQuery:
         fetched: list[tuple[Any, ...]],
         columns: Sequence[tuple[int, Callable[[Any], Any] | None]],
     ) -> list[tuple[Any, ...]]:
-        """Returns the rows with some columns, converted."""
         step = self._database.connection.meter.step
         rows: list[tuple[Any, ...]] = []
         for start in range(0, len(fetched), _ROWS_AT_ONCE):
@@ -229,7 +227,6 @@ class PlannedQuery:
         return rows
 
     def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
-        """Executes the SQL and returns its rows."""
         try:
             parameters = _parameter_values(self.plan, outer, sources)
         except (ArgumentError, EvaluationError) as error:  # perhaps of a part that is not reached
@@ -299,7 +296,6 @@ class PlannedQuery:
     def _frames(
         self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
     ) -> Iterator[Frame]:
-        """Yields the frames of the rows from SQL."""
         plan = self.plan
         outer_elements: dict[str | None, Any] = dict(outer.elements)
         outer_elements.pop(None, None)
@@ -322,7 +318,6 @@ class PlannedQuery:
     def _element_reader(
         self, source_type: SourceType, sources: Mapping[str, Any]
     ) -> Callable[[tuple[Any, ...]], Any]:
-        """Returns a function that reads the current element of a source."""
         output = self.plan.elements[source_type.alias]
         index = output.index
         if output.sql_type.type in ("any", "record"):
@@ -335,7 +330,6 @@ class PlannedQuery:
 
 
 def _relation_error(error: SqlError) -> SelectScriptError:
-    """Returns the error of a relation's formula as an error of the language."""
     match = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
     if match is None or match[2] not in RELATIONS:
         return error
@@ -376,7 +370,6 @@ def _graph_paths(
 
 
 def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the values of the SQL's parameters."""
     bound = {}
     for binding in plan.bindings:
         if binding.end:

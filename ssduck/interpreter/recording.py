@@ -282,7 +282,6 @@ class Records:
 
 
 def _names(entities: Iterable[str | Entity]) -> tuple[str, ...]:
-    """Returns the names of entities that are given by name or as handles."""
     names = []
     for entity in entities:
         if not isinstance(entity, str | Entity):

@@ -113,7 +113,6 @@ def _kind_of(sql_type: SqlType) -> Kind:
 
 
 def _checked(value: Any, kind: Kind) -> Any:
-    """Returns the value of a parameter."""
     if kind == "double" and type(value) in (float, int):
         return known(float(value))
     if kind == "integer" and type(value) is int and abs(value) < EXACT:
@@ -291,7 +290,6 @@ def _names_in(node: ast.Node) -> list[str] | None:
 
 
 def _literals(node: ast.Node) -> list[Any]:
-    """Returns the values of a list of literals."""
     items = node.items if isinstance(node, ast.ListLiteral) else (None,)
     values = [item.value for item in items if isinstance(item, ast.Literal)]
     if len(values) != len(items):

@@ -81,7 +81,6 @@ def type_hints_of(call: Callable[..., Any]) -> TypeHints | None:
 
 
 def _sql_type(hint: object) -> SqlType | None:
-    """Returns the SQL type of a hint; None if there is none."""
     if hint is Entity:
         return SqlType("entity")
     if hint is Link:

@@ -114,8 +114,6 @@ _WORDS = {
 }
 # The functions of SelectScript that SQL has not.
 _ONLY_PROGRAMS = frozenset(name.lower() for name in (*TEMPORAL_FUNCTIONS, *EXPANSIONS))
-# The columns that are ids of entities.
-_IDS = ("entity", "sensor", "a", "b")
 
 
 def add_hint(
@@ -251,7 +249,7 @@ def _hint_of_row(expression: str, sql: str) -> str:
     name = expression.lower()
     if re.search(rf"\b\w+\s+(AS\s+)?{name}\s*(,|;|JOIN\b|WHERE\b|$)", sql, re.IGNORECASE):
         return _hint_of_alias(expression)
-    if name in _IDS:
+    if name in ("entity", "sensor", "a", "b"):
         join = f"JOIN entities e ON e.id = {name}"
         return f"{name} is the id of an entity; a join has its columns: {join}"
     if expression.startswith("'") or name in ("name", "id"):

@@ -269,7 +269,6 @@ class Leaves:
 
 
 def _renamed(sql: exp.Expr, names: Mapping[str, str]) -> exp.Expr:
-    """Returns SQL with other names of its parameters."""
     whole = exp.Paren(this=sql.copy())
     for part in list(whole.walk()):
         if isinstance(part, exp.Parameter) and part.name in names:
@@ -392,7 +391,6 @@ def _broadcast(result: Array, count: int) -> Array:
 
 
 def _sql_parts(node: ast.Node, planned: PlannedQuery) -> dict[ast.Node, exp.Expr]:
-    """Returns the SQL of the parts of an expression that have some."""
     plan = planned.plan
     columns = plan.select.expressions
     parts = plan.known if plan.outputs is None else {node: plan.outputs[0]}

@@ -195,7 +195,6 @@ class _Ticks:
         self._end += 1
 
     def drop_first(self) -> None:
-        """Drops the first tick."""
         self._first += 1
 
 
@@ -312,7 +311,6 @@ class LookingBack(_Operator):
             ticks.drop_first()
 
     def _ends(self, now: Array) -> tuple[Array, Array]:
-        """Returns the times at which the windows begin and end."""
         window, time = self._window, now + TIME_TOLERANCE
         return time - window.end, time - window.start
 

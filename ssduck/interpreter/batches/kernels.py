@@ -98,7 +98,6 @@ class EnvironmentShapes:
         return answers.values
 
     def _side(self, ids: Indices, rows: Indices) -> PairSide:
-        """Returns one side of the pairs of some rows."""
         environments = self.environments[rows]
         poses = np.zeros((len(rows), 7))
         for id in np.unique(ids).tolist():
@@ -152,7 +151,6 @@ def _of_joints(
     values: ArrayValues,
     arguments: Sequence[Array],
 ) -> Array:
-    """Returns the value of a function of an entity's joints."""
     _, _, ids, *names = arguments
     if ids.size != 1 or any(each.size != 1 for each in names):
         raise LeftToDuckDBError

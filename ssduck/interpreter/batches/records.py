@@ -44,7 +44,6 @@ def export_batch(
 def _tags_of_each(
     world: BatchWorld, tags: Mapping[str, Any] | None, numbers: Indices
 ) -> dict[int, dict[str, Any]]:
-    """Returns the tags of some environments by their numbers."""
     result: dict[int, dict[str, Any]] = {n: {ENVIRONMENT: n} for n in numbers.tolist()}
     for name, value in validation.mapping(tags, "export_batch: tags are a dict by name").items():
         if isinstance(value, str | bool | int | float):

@@ -329,7 +329,6 @@ class _Condition:
         case: Mapping[str, int | None],
         places: Mapping[str, Mapping[Any, int]],
     ) -> _Truth:
-        """Returns the value of a condition in a case."""
         values = [self._value(part, case, places) for part in _parts(node)]
         match node:
             case _ if not values:

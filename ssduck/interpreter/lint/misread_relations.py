@@ -210,7 +210,6 @@ def _outer_row(outer: ast.Query, inner: str) -> str:
 
 
 def _conditions(node: ast.Node) -> tuple[ast.Node, ...]:
-    """Returns the parts of a node that are conditions."""
     match node:
         case ast.Query(where=where, having=having, recursion=recursion):
             stop = None if recursion is None else recursion.stop
@@ -334,7 +333,6 @@ def can_move(entity: Entity) -> bool:
 
 
 def _swapped(name: str, carrier: str, carried: str, entity: str = "") -> str:
-    """Returns what is told of a call whose arguments are swapped."""
     asks = next(asks for known, asks in _ASKED.items() if known.lower() == name.lower())
     which = f"which is {entity}, immovable" if entity else "which is immovable"
     return (

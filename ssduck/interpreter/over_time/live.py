@@ -284,7 +284,6 @@ class LiveFolds:
         meaning: tuple[Any, ...],
         fold: Fold,
     ) -> _Folded:
-        """Returns the state with the present tick."""
         snapshot = world.snapshot
         number, time = snapshot.number, snapshot.time
         origin = None if last is None else last.origin
@@ -323,10 +322,7 @@ class LiveFolds:
         )
 
     def _present(self, call: ast.Call, world: World) -> Any:
-        """Returns the value of a call's expression at the present tick; None where it is NaN.
-
-        Of two expressions, it is a tuple.
-        """
+        """Returns the present value of a call's expression, of two a tuple; None for NaN."""
         key, _ = self._key(call)
         if key not in self._queries:
             self._queries[key] = [select_of(expression) for expression in expressions_of(call)]
@@ -358,10 +354,7 @@ class LiveFolds:
         return self._inner_calls[call]
 
     def _meaning(self, call: ast.Call) -> tuple[Any, ...] | None:
-        """Returns what the variables of a call mean; None if that may change by itself.
-
-        It holds no world.
-        """
+        """Returns what a call's variables mean, without worlds; None if it may change by itself."""
         scope = self._scope
         meaning: list[tuple[Any, ...]] = []
         for name in self._key(call)[1]:

@@ -493,7 +493,6 @@ def _key_of_number(call: ast.Call) -> set[str]:
 
 
 def _folded(fold: Fold, times: list[float], values: list[Any]) -> Iterator[Any]:
-    """Yields the value of a fold at each tick."""
     state = fold.first(times[0], values[0])
     yield fold.value(state, times[0])
     for time, value in zip(times[1:], values[1:], strict=True):

@@ -216,10 +216,7 @@ class Explainer:
     # -- nested queries -------------------------------------------------------------------------
 
     def _of_rows(self, node: ast.Node, query: ast.Query, member: ast.Node | None) -> Why:
-        """Returns why a query has rows, or has a member among its values.
-
-        The part is the condition of the row that holds best, or comes nearest.
-        """
+        """Returns why a query has rows or a member: by the row that holds best or comes nearest."""
         whole = self._made(node)
         if unfit := _unfit(query, is_member=member is not None):
             return replace(whole, detail=f"WHY tells no more, as the SELECT has {unfit}")

@@ -116,7 +116,6 @@ def canonical_key(value: Any) -> Any:
 
 
 def _item_key(item: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Returns the key of an item of a dict."""
     key, part = item
     if type(key) is str and type(part) is float and part == part:  # noqa: PLR0124  # not NaN
         return item  # the most frequent one

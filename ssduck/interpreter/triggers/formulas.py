@@ -386,7 +386,6 @@ class Meaning:
         return None
 
     def _of_plan(self, planned: Planned) -> Formula:
-        """Returns the formula of a plan."""
         query, (_, planned_query, _, frame) = planned[0], planned
         plan, sources = planned_query.plan, query.sources
         is_left = plan.outputs is None or plan.may_fail or any(plan.deferred.values())

@@ -265,7 +265,6 @@ class TriggerRegistry:
                 trigger.restart(world)
 
     def _readers_of(self, world: World, stamp: object) -> _Readers:
-        """Returns the triggers that read a world and are not paused."""
         by_name, pauses = self._by_name, self._pauses
         known = self._readers.get(world)
         if (
@@ -285,7 +284,6 @@ class TriggerRegistry:
         return known
 
     def _is_due(self, trigger: Trigger, world: World, stamp: object) -> bool:
-        """Checks whether a trigger is due in a world."""
         if trigger.paused or world not in self._worlds_of(trigger, stamp):
             return False
         due = trigger.due(world)

@@ -121,7 +121,6 @@ class Trigger:
         self.variables = tuple(
             sorted(frozenset().union(*map(variables_of, program.tree.statements)))
         )
-        # The worlds that it reads.
         self.worlds = KnownWorlds()
         # What its program meant when it was last evaluated by itself; None if that failed, or if it
         # is always evaluated by itself.
