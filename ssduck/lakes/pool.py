@@ -36,7 +36,6 @@ class _Kept:
     timer: threading.Timer
 
     def end(self) -> None:
-        """Ends the processes."""
         self.timer.cancel()
         self.executor.shutdown()
 

@@ -91,7 +91,6 @@ def records_of(pattern: str) -> list[Path]:
 
 
 def _records_in_store(place: ObjectPath) -> list[Path]:
-    """Returns the records below an address in an object store."""
     names = objects_below(place)
     if not names:
         raise RecordError(f"there is no record {place}: there is no object below it")
@@ -185,7 +184,6 @@ def _listing_of_file(file: Path) -> Listing:
 
 
 def _entries_of_file(file: Path) -> list[EpisodeEntry]:
-    """Returns the entries of the episodes of a DuckDB file."""
     try:
         files = tuple(
             StoredFile(name, size, modified, checksum_of(file.with_name(name)))

@@ -47,7 +47,6 @@ _EPISODES, _ENTITIES, _TICKS, _ROWS, _ANSWERS = (
 )
 # The columns of the episodes: where they are, and their ticks in question.
 _COLUMNS = (_NUMBER, "record", "path", "world", "episode", "first_tick", "last_tick", "since")
-_HISTORY = "entities_history"
 _WRITTEN = "written as SQL: ask the episodes (Lake.ask)"
 # What stands for other characters in a path: DuckDB's and Hadoop's ways to write one as itself.
 _DUCKDB_PATTERN = re.compile(r"([*?\[])")
@@ -165,7 +164,6 @@ class _Files:
         return list(dict.fromkeys((e.path, e.world) for e in self.entries.values()))
 
     def episodes(self) -> exp.Select:
-        """Returns the rows of the episodes."""
         places = {record: place for place, record in enumerate(self.records)}
         rows = []
         for number, entry in self.entries.items():
@@ -261,7 +259,7 @@ def _of_all_episodes(plan: TickPlan) -> tuple[exp.Select, list[str]]:
     if len(list(select.find_all(exp.Select))) != 1 + len(inner):
         raise UnsupportedError(f"a query inside of another expression is not {_WRITTEN}")
     for table in tables:
-        if table.name != _HISTORY:
+        if table.name != "entities_history":
             raise UnsupportedError(f"what reads {table.name} is not {_WRITTEN}")
         alias = table.args.get("alias")
         table.replace(exp.Table(this=exp.to_identifier(_ENTITIES), alias=alias))
@@ -364,7 +362,6 @@ _EXTREME = """
     SELECT ssduck_number, {'time': time, 'value': value} AS answer
     FROM ssduck_ranked WHERE place = 1
 """
-_ANSWER = "a.answer"
 _INTERVALS_ANSWER = "coalesce(a.answer, CAST([] AS DOUBLE[][]))"
 _TRUTH, _NUMBERS = frozenset(("boolean",)), frozenset(("double", "integer"))
 _VALUES = _TRUTH | _NUMBERS | {"string"}
@@ -376,7 +373,7 @@ class _Function:
 
     types: frozenset[str]
     parts: Mapping[str, str]
-    answer: str = _ANSWER
+    answer: str = "a.answer"
 
 
 _OF_SPANS = {"spans": _SPANS}
@@ -445,7 +442,6 @@ def _union(parts: Sequence[exp.Expr]) -> exp.Expr:
 
 
 def _renamed(part: _Part, names: Mapping[str, str]) -> _Part:
-    """Returns a part of a statement that refers to other parts by other names."""
     for table in part.find_all(exp.Table):
         if table.name in names:
             table.set("this", exp.to_identifier(names[table.name]))

@@ -143,7 +143,6 @@ class _Reader:
         return BatchedEpisode(offset, rows, files)
 
     def close(self) -> None:
-        """Closes the interpreter."""
         self._batch.close()
 
 
