@@ -213,7 +213,6 @@ class Clauses:
         return Rows(selected.values[window], names)
 
     def _fulfils_having(self, rows: list[Frame], outer: Frame) -> bool:
-        """Checks whether HAVING holds of a group."""
         if self._having is None or self._clauses.having is None:
             return True
         return truth(self._having(rows, outer), self._clauses.having)

@@ -77,7 +77,6 @@ class _States:
         self._known: dict[Any, Steps] = {}
 
     def __call__(self, state: dict[str, Any]) -> Steps:
-        """Returns the rows of a state."""
         key = None
         with suppress(ArgumentError):  # its values have no keys
             key = self.keys.exact(state.values())

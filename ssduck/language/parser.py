@@ -519,7 +519,6 @@ class _Parser(SqlForms):
         return result
 
     def branch_part(self) -> ast.Node:
-        """One of such parts."""
         if self.equals != "in a condition" or not (self.at_assignment() and self.is_followed()):
             return self.statement()
         self.equals = ""

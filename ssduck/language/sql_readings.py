@@ -96,7 +96,6 @@ class _Doubts:
 
 
 def _doubts_of(program: ast.Program) -> _Doubts:
-    """Returns the names on which the reading of a program depends."""
     parts = [part for statement in program.statements for part in statement.walk()]
     is_doubtful = False
     names: set[str] = set()
@@ -138,8 +137,6 @@ def _is_variable_itself(alias: str, value: ast.Node) -> bool:
 
 
 class _Reading:
-    """The reading of one program."""
-
     def __init__(self, names: Names, program: ast.Program, local: Collection[str]) -> None:
         self._names = names
         self._program = program

@@ -15,13 +15,11 @@ _CHANGE = (
 _LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
 _CAST = "write int(x), float(x) or str(x)"
 _MISSING = "there is no NULL; write x IS NULL, or x IS NOT NULL"
-_INSTEAD = "write IF(x IS NULL; 0; x)"
 _TIMES = "times are seconds of simulated time: getTime(), time(this)"
 _AGGREGATES = (
     "the aggregates are count, sum, min, max, avg, median, stddev, uniq; raw SQL has all of "
     'DuckDB: ss.sql("SELECT quantile_cont(z, 0.9) FROM entities")'
 )
-_NOT_A_NUMBER = "NaN is x != x, and infinity float('inf')"
 _EXISTS = "of any element write EXISTS (SELECT this FROM room WHERE condition)"
 _ALL = "of all elements write NOT EXISTS (SELECT this FROM room WHERE NOT (condition))"
 _PYTHON = (
@@ -37,8 +35,8 @@ _OF_VALUES = {
     "UPPER LOWER SUBSTRING SUBSTR TRIM STARTS_WITH": _TEXTS,
     "CAST TRY_CAST CONVERT": _CAST,
     "NULL NONE NIL": _MISSING,
-    "NAN INF INFINITY": _NOT_A_NUMBER,
-    "COALESCE IFNULL NVL": _INSTEAD,
+    "NAN INF INFINITY": "NaN is x != x, and infinity float('inf')",
+    "COALESCE IFNULL NVL": "write IF(x IS NULL; 0; x)",
     "NULLIF": "write IF(…; …; …)",
     "CONCAT": "texts are joined by +",
     "LEN LENGTH": "write count(x), of a list or of the letters of a text",
@@ -132,7 +130,6 @@ CLAUSES = frozenset(
     ("FROM", "WHERE", "START", "CONNECT", "STOP", "GROUP", "HAVING", "ORDER", "LIMIT")
 )
 
-_RANDOM = "a query gives the same result each time; draw numbers in Python"
 _TABLE = "SQL has tables (ss.sql, query --sql); in a program the source is the world: FROM room"
 _JOINT = "the position of a joint is joint(entity, 'name')"
 _JOINT_TABLE = 'is in the table of joints: ss.sql("SELECT name, {} FROM joints")'
@@ -145,7 +142,7 @@ _ANGLE = (
 _NOT_KEPT = "a world does not keep it: bind a number of the simulator as a variable"
 # The suggestions for names of SQL and of other libraries, and for words of time.
 _OF_NAMES = {
-    "RANDOM RAND": _RANDOM,
+    "RANDOM RAND": "a query gives the same result each time; draw numbers in Python",
     "ENTITIES SHAPES CONTACTS SENSINGS TICKS": _TABLE,
     "JOINTS": "the position of one joint is joint(entity, 'name'); all are a table of ss.sql: "
     "SELECT name, position FROM joints",

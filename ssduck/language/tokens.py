@@ -206,7 +206,6 @@ LEVELS: tuple[tuple[str, ...], ...] = (
     ("^",),
 )
 
-# The brackets.
 _OPENING = frozenset((TokenType.L_PAREN, TokenType.L_BRACKET, TokenType.L_BRACE))
 _CLOSING = frozenset((TokenType.R_PAREN, TokenType.R_BRACKET, TokenType.R_BRACE))
 
