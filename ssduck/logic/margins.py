@@ -78,16 +78,12 @@ def is_value(node: ast.Node) -> bool:
 
 
 def _extreme(condition: ast.Node, sign: str, operands: tuple[ast.Node, ...]) -> ast.Node:
-    """Returns the least margin of the operands of AND, or the largest of those of OR.
-
-    It is nothing where one of them is.
-    """
+    """Returns the least margin in an AND, or the largest in an OR; nothing where one of them is."""
     margins = ast.ListLiteral(condition.span, tuple(map(margin_of, operands)))
     return ast.Call(condition.span, f"margin of {sign}", (margins,), condition.span)
 
 
 def _margin_of_relation(call: ast.Call) -> ast.Node | None:
-    """Returns the margin of a relation; None if it has none."""
     relation = RELATIONS.get(call.name)
     if relation is None or len(call.arguments) not in relation.expressions:
         return None  # evaluated, the call tells of missing arguments
@@ -110,5 +106,4 @@ def _margin_of_relation(call: ast.Call) -> ast.Node | None:
 
 @lru_cache(maxsize=256)
 def _parsed(text: str) -> ast.Node:
-    """Returns an expression of the language."""
     return parse(f"{text};").statements[0]
