@@ -84,7 +84,6 @@ class _ReadableMessages:
         return self._messages.last_context
 
     async def receive(self) -> SessionMessage | Exception:
-        """Returns the next message."""
         while True:
             message: SessionMessage | Exception = await self._messages.receive()
             answer = _answer_to(message) if isinstance(message, ValidationError) else None
@@ -102,7 +101,6 @@ class _ReadableMessages:
             raise StopAsyncIteration from None
 
     async def aclose(self) -> None:
-        """Ends the messages."""
         await self._messages.aclose()
 
     async def __aenter__(self) -> Self:
