@@ -54,7 +54,6 @@ class ParquetRecording:
         self._start()
 
     def _start(self) -> None:
-        """Starts a new episode."""
         recording, world = self._recording, self.world
         self._folder = ParquetStore(
             self._path,

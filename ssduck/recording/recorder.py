@@ -234,7 +234,6 @@ class Recorder:
         return any(np.isnan(rows[table].doubles).any() for table in rows.keys() - often)
 
     def _ticks_per_buffer(self, counts: Mapping[str, int]) -> int:
-        """Returns the number of ticks for which the buffers have room."""
         ticks = min(self._max_ticks, MAX_BUFFERED_ROWS // max(counts.values()))
         max_bytes = self.recording.max_bytes
         if isinstance(max_bytes, int):
@@ -378,7 +377,6 @@ class Recorder:
 
     @property
     def _archive(self) -> TickArchive:
-        """The store as an archive."""
         if not isinstance(self._store, TickArchive):
             raise RecordError("a folder that is being recorded is read by opening it")
         return self._store

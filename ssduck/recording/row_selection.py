@@ -62,7 +62,6 @@ class RecordedRows:
             _select_links(part, self._layout, ids)
             for part in (self._layout.static_bodies, self._layout.moving_bodies)
         ]
-        # The number of links of all bodies.
         self.link_count = sum(len(body.links) for _, body in self._layout.bodies)
         self._fixed = {t: self._fixed_rows(snapshot, t) for t in tables if t in FIXED_ROW_TABLES}
         if FRAMES in tables:
@@ -161,7 +160,6 @@ class RecordedRows:
         return block
 
     def _contacts(self, states: Sequence[TickState]) -> _Columns:
-        """Returns the columns of the table of contacts."""
         points, counts = ContactPoints.joined([state.contacts for state in states])
         ticks = np.arange(len(states)).repeat(counts)
         entities = self._layout.ids_of_handles[points.bodies]
@@ -169,7 +167,6 @@ class RecordedRows:
         return dict(zip(CONTACT_SIDES, sides, strict=True)), numbers, ticks
 
     def _sensings(self, states: Sequence[TickState]) -> _Columns:
-        """Returns the columns of the table of sensings."""
         parts = [sensing_rows(state.readings, self._layout.rows) for state in states]
         ticks = np.arange(len(states)).repeat([len(part) for part in parts])
         *integers, measured = np.concatenate(parts).T

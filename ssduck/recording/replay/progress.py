@@ -79,7 +79,6 @@ def find_display() -> Display | None:
 
 
 def _is_notebook() -> bool:
-    """Checks whether this is the kernel of a notebook."""
     from IPython.core.getipython import get_ipython
 
     shell = get_ipython()

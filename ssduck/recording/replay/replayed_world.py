@@ -89,7 +89,6 @@ class ReplayTicker(Ticker):
         self._restore_wall_time(snapshot)
 
     def _restore_wall_time(self, snapshot: Snapshot) -> None:
-        """Restores the recorded wall time of the tick into its snapshot."""
         wall_time = self.record.rows("ticks", self._tick)["wall_time"]
         if len(wall_time) != 1:
             raise RecordError(f"{self.record.source} is damaged: it has no tick {self._tick}")

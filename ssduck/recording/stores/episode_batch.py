@@ -255,7 +255,6 @@ class EpisodeBatch(TickArchive):
         self._shown = range(first, end)
 
     def _check(self, table: str) -> None:
-        """Checks the files of a table."""
         for index, episode in enumerate(self._episodes):
             for number in range(len(episode.files[table])):
                 self._part(table, number, index)

@@ -183,7 +183,6 @@ def reading(path: ObjectPath) -> Iterator[None]:
 
 
 def _missing(path: ObjectPath) -> ObjectError:
-    """Returns the error that there is no such object."""
     reason = "it was removed meanwhile, or the store lists what is not there; put it back"
     error = MissingObjectError(f"{path} is missing: {reason}")
     error.strerror = reason  # as those of files have
@@ -191,7 +190,6 @@ def _missing(path: ObjectPath) -> ObjectError:
 
 
 def _cannot_read(path: ObjectPath, problem: str) -> ObjectError:
-    """Returns the error that an object cannot be read."""
     advice = "check the address, the credentials (AWS_…) and the network, or try again"
     error = ObjectError(f"{path} cannot be read: {problem}; {advice}")
     error.strerror = f"{problem}; {advice}"

@@ -92,7 +92,6 @@ class ParquetStore(TickStore):
             raise
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
-        # The numbers of parts of the tables and of the models.
         self._part_count = self._model_count = 0
         # Where the files are: those of an export get their places when all of them are there.
         self._staged = self.run

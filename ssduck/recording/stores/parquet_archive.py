@@ -212,7 +212,6 @@ def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _L
 
 
 def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:
-    """Returns the rows of a part at the ticks from first to last."""
     try:
         part = pq.ParquetFile(parquet_source(file))
         groups = _groups_with(part, first, last)

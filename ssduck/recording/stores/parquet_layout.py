@@ -328,7 +328,6 @@ class FolderRun:
         return None if self.label(table, number) in (footer or b"") else OTHER_PART
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:
-        """Returns the error that there is a problem with a part."""
         hint = "" if table.startswith("models/") else f"; {RESCUE}"
         return RecordError(f"{self.place(table) / part_name(number)} {problem}{hint}")
 
