@@ -408,7 +408,6 @@ def _simulation(
 def _pictures(
     take: _Take, canvas: Canvas, film: Film, on_picture: Callable[[int, int], object] | None
 ) -> Iterator[Picture]:
-    """Yields the pictures of a world at its times."""
     drawing, query = _Drawing(canvas, film), _Query(take, film)
     for number, time in enumerate(take.times.tolist(), 1):
         take.go(time)
@@ -441,10 +440,7 @@ class _Drawing:
     def picture(
         self, world: World, frame: Frame, marks: list[Mark], parts: Sequence[Why] = ()
     ) -> Picture:
-        """Returns the picture of a frame, in which some entities and links stand out.
-
-        Parts of a condition are drawn over it.
-        """
+        """Returns the picture of a frame with its marks, and with parts of a condition over it."""
         canvas, stage = self._canvas, self._stage
         if stage is None or not stage.frame.has_same_scene(frame):
             with world.lock:
