@@ -143,7 +143,6 @@ class Zygote:
 
 
 def _environment() -> dict[str, str]:
-    """Returns the environment of a zygote."""
     kept = {name: os.environ[name] for name in os.environ if name in _KEPT or name[:3] == "LC_"}
     return {**kept, **ONE_THREAD}
 
@@ -329,7 +328,6 @@ class WorkerProcess:
     def _exchange(
         self, document: bytes, encoder: Encoder, wait: Waiting, *, is_call: bool
     ) -> Message:
-        """Sends a message, and returns the next one."""
         wait.check()
         descriptor = self._connection.fileno()
         send(descriptor, self._number, document, encoder.parts, wait, is_call=is_call)
@@ -380,7 +378,6 @@ class WorkerProcess:
             raise InvalidAnswerError(str(error)) from error
 
     def _values(self, message: Message, world: Callable[[str], Any]) -> Sequence[Any]:
-        """Returns what a message holds."""
         if message.number != self._number:
             raise InvalidAnswerError("it answers another question")
         budget = Budget(self._answer_bytes)

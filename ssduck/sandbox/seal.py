@@ -34,7 +34,6 @@ _PROCESS = (
 # What may limit its memory and its processors.
 _CONTROL = Path("/sys/fs/cgroup")
 _CONTROLS = ("memory.max", "memory.limit_in_bytes", "cpu.max", "cpu.cfs_*")
-_NULL = Path(os.devnull)
 _DESCRIPTORS = 1024
 # What `remove` calls folders that it has moved.
 _MOVED = "moved-"
@@ -114,7 +113,7 @@ def seal(walls: Walls) -> list[str]:
             os.open(entry, os.O_PATH)
     own = (str(walls.own_files[0]), *walls.readable)
     readable = (*libraries(), *_SYSTEM, *map(str, _controls()), *_PROCESS, *own)
-    landlock.confine(readable, (walls.scratch, _NULL))
+    landlock.confine(readable, (walls.scratch, Path(os.devnull)))
     if not seccomp.missing():
         seccomp.refuse_calls()
     return lacking

@@ -50,7 +50,6 @@ _MODES = {"1": 1, "L": 1, "RGB": 3, "RGBA": 4}
 _OBJECTS: dict[str, type[Any]] = {
     kind.__name__: kind for kind in (OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid, Why, Move)
 }
-_NULLABLE = ("Int64", "boolean")
 _json = json.JSONEncoder(separators=(",", ":")).encode
 _PLAIN = frozenset((type(None), bool, int, float, str))
 
@@ -441,7 +440,6 @@ class Decoder:
         return _frame(table, dtypes)
 
     def _graph(self, name: str, content: Any) -> Any:
-        """Returns a graph of entities."""
         library("networkx", "graph")
         from ssduck.adapters import entity_graphs
 
@@ -481,7 +479,7 @@ def _frame(table: pa.Table, dtypes: Sequence[str]) -> Any:
         column = table.column(i)
         if pa.types.is_nested(column.type):
             frame.isetitem(i, pandas.Series(column.to_pylist(), dtype=object))
-        elif dtype in _NULLABLE:
+        elif dtype in ("Int64", "boolean"):
             frame.isetitem(i, column.to_pandas(types_mapper=nullable.get))
     return frame
 
