@@ -259,7 +259,6 @@ def _quit(session: Session, _: str) -> None:
 
 
 def _world(session: Session, name: str) -> World:
-    """Returns the world of a name."""
     worlds = {world.name: world for world in session.ss.worlds}
     check_known(name, worlds, f"there is no world {name!r}")
     return worlds[name]
