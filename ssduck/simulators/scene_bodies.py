@@ -178,7 +178,6 @@ def read_floor(table: TomlTable) -> BodySpec:
 
 
 def _model(table: TomlTable, key: str, folder: Path) -> Path:
-    """Returns the path of a model file."""
     file = table.text(key)
     try:
         model = (folder / file).resolve()
@@ -197,7 +196,6 @@ def _model(table: TomlTable, key: str, folder: Path) -> Path:
 
 
 def _primitive(table: TomlTable, type: str, fixed: bool) -> Primitive:
-    """Returns the primitive of a body."""
     count, meaning = PRIMITIVES[type]
     size: tuple[float, ...]
     if type == "plane":
@@ -221,7 +219,6 @@ def _primitive(table: TomlTable, type: str, fixed: bool) -> Primitive:
 
 
 def _material(table: TomlTable) -> Material:
-    """Returns the surface of a primitive."""
     default = Material()
     return Material(
         table.colour("colour", default.colour),

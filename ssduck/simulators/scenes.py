@@ -304,7 +304,6 @@ def _scene(table: TomlTable, path: Path) -> Scene:
 
 
 def _floor(table: TomlTable) -> BodySpec | None:
-    """Returns the floor of a scene, if it has one."""
     if isinstance(table.values.get("floor", {}), bool):
         return read_floor(TomlTable(None, "", {})) if table.flag("floor", False) else None
     floor = table.table("floor", "true, false or a table")

@@ -33,7 +33,6 @@ HOLD = "ssduck_hold"
 SPARE_WELDS = 8
 # A margin at which no two shapes meet.
 NEVER = -1e9
-_WELD = int(mujoco.mjtEq.mjEQ_WELD)
 # The data of a weld that holds nothing: an anchor, a pose as x y z w x y z, the scale of torques.
 IDLE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -187,7 +186,7 @@ def add_spare_welds(spec: Any) -> None:
 
 def spare_welds(model: Any) -> list[int]:
     """Returns the numbers of the welds by which bodies can be held."""
-    welds = np.flatnonzero(model.eq_type == _WELD).tolist()
+    welds = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)).tolist()
     kind = mujoco.mjtObj.mjOBJ_EQUALITY
     return [n for n in welds if name_of(model, kind, n, "").startswith(HOLD)]
 

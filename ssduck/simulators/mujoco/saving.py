@@ -205,7 +205,6 @@ def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
 
 
 def _check(model: Any, file: Path) -> None:
-    """Checks that a file describes a model."""
     try:
         again = mujoco.MjSpec.from_file(str(file)).compile()
     except ValueError as error:

@@ -217,7 +217,6 @@ class _Builder:
 
 
 def _add_shape(body: Any, primitive: Primitive) -> None:
-    """Gives a body the shape of a primitive."""
     geom, material = body.add_geom(), primitive.material
     geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{primitive.type.upper()}")
     if primitive.type == "plane":

@@ -79,7 +79,6 @@ class _Copier:
     differences: dict[str, dict[str, None]] = field(default_factory=dict)
 
     def copy(self, originals: Sequence[BodyToCopy]) -> PyBulletSimulator:
-        """Copies bodies."""
         settings = self.source.settings() if self.source else Scene("", Path())
         scene_loader.set_up(settings, self.client)
         self.loaded.time, self.loaded.elastic = self.tick.time, settings.elastic

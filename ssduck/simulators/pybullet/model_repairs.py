@@ -65,8 +65,6 @@ def find_mesh(model: Path, name: str) -> Path | None:
 
 
 class _MeshFacts(NamedTuple):
-    """What is known of a mesh file."""
-
     fault: str = ""  # what would crash PyBullet, in words; nothing if it can be read
     is_readable: bool = False  # whether PyBullet reads triangles, if it is not damaged
     is_pointer: bool = False  # whether it is a pointer that Git LFS has in place of a large file

@@ -46,10 +46,7 @@ _SHAPES = {
 
 
 def _load_model(spec: BodySpec, place: str, client: int) -> tuple[Sequence[int], tuple[str, ...]]:
-    """Loads the model of a scene entry.
-
-    Returns PyBullet's numbers of the bodies, and what it reads otherwise than meant, in words.
-    """
+    """Returns PyBullet's numbers of bodies, and what it reads otherwise than meant, in words."""
     if isinstance(spec.model, Primitive):
         with captured():  # PyBullet warns about the picture of a plane, and draws it
             return (_create_primitive(spec, spec.model, client),), ()
@@ -141,7 +138,6 @@ def _set_velocity(handle: int, spec: BodySpec, com: Array, client: int) -> None:
 
 
 def _create_primitive(spec: BodySpec, primitive: Primitive, client: int) -> int:
-    """Creates a body of one primitive shape."""
     shape, size, material = _SHAPES[primitive.type], primitive.size, primitive.material
     sizes: dict[str, Any] = {"radius": size[0]}
     if primitive.type == "box":

@@ -96,7 +96,6 @@ class _ModelWriter:
     copies: dict[Path, Path | None] = field(default_factory=dict)  # None for what cannot be copied
 
     def spec_of(self, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
-        """Returns the scene's entry of a body."""
         body, states = original.body, original.joints
         spec = loadable_spec(self.simulator, body)
         copy = None if spec is None else spec.model

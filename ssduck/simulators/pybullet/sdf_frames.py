@@ -82,11 +82,9 @@ class _Frames:
 
     @classmethod
     def of(cls, scope: ET.Element) -> _Frames:
-        """Returns the frames in an element."""
         return cls({part.get("name", ""): part for part in scope if part.tag in _FRAMES})
 
     def __getitem__(self, name: str) -> Pose:
-        """Returns where a frame is."""
         if name in _OWN:
             return _identity()
         if name not in self.places:
