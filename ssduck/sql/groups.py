@@ -267,7 +267,6 @@ class Groups(Expressions):
         raise NotSqlError
 
     def _distinct_count(self, values: ast.Call) -> SqlValue:
-        """Returns the number of distinct values in each group."""
         (node,) = values.arguments
         value = self.context.nan_checked(self._of_rows.value(node))
         if value.sql_type.type not in (*_SCALARS, "entity"):

@@ -284,6 +284,5 @@ class _Resolver:
 
 
 def _has_entities(source_type: SourceType) -> bool:
-    """Checks whether the elements of a source are entities."""
     element = source_type.sql_type
     return source_type.schema is not None or (element is not None and element.type == "entity")

@@ -162,7 +162,6 @@ class _Search:
         return select if path_limit is None else select.limit(path_limit)
 
     def path_limit(self) -> int | None:
-        """Returns the limit of paths."""
         limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
         return min(map(_number, limits), default=None)
 
@@ -339,7 +338,6 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
 
 
 def _assigned_values(parts: Iterable[ast.Node]) -> dict[str, ast.Node]:
-    """Returns the values that state variables are assigned."""
     result: dict[str, ast.Node] = {}
     for part in parts:
         if not isinstance(part, ast.Assignment):

@@ -311,7 +311,6 @@ def _unrolled_value(rows: UnrolledRows) -> SqlValue:
 
 
 def _domain(items: Sequence[SqlValue]) -> FloatDomain:
-    """Returns the domain of the elements of a list."""
     return max((item.domain for item in items), default=FloatDomain.FINITE)
 
 
@@ -417,7 +416,6 @@ def _unrolled(
 
 
 def _items(inner: ExpressionScope, resolved: ResolvedQuery) -> tuple[SqlValue, ...]:
-    """Returns the selected values of a nested query."""
     values = (inner.value(column.node) for column in resolved.columns)
     return tuple(map(inner.context.nan_checked, values))
 
