@@ -215,7 +215,6 @@ class BodyGroup:
     # writes rows takes the link poses of one tick or of several, one tick after the other.
 
     def _ticks_of(self, link_poses: LinkPoses) -> int:
-        """Returns the number of ticks of link poses."""
         return max(len(link_poses.positions) // max(self.link_count, 1), 1)
 
     def _at_ticks(self, links: Indices, link_poses: LinkPoses) -> Indices:

@@ -147,7 +147,6 @@ class SensorReader:
         return True
 
     def _discard_removed(self, layout: TableLayout) -> None:
-        """Discards the state of removed sensors."""
         self._off &= layout.rows.keys()
         self._pictures = {id: at for id, at in self._pictures.items() if id in layout.rows}
         self._rays = {id: ends for id, ends in self._rays.items() if id in layout.rows}

@@ -228,7 +228,6 @@ class Snapshot(TickGeometry):
         self._set_run(new_run())
 
     def _set_run(self, run: int) -> None:
-        """Sets the run that the ticks belong to."""
         self.run = run
         self._live["entities"]["run"].fill(run)
 

@@ -325,7 +325,6 @@ class World(SteppedWorld, PublicNames):
         return World(LiveTicker.of_tick(*tick), camera=self.camera, origin=self.origin)
 
     def _bodies_of(self, by_entity: Mapping[str | Entity, Any]) -> Iterator[tuple[str, Body, Any]]:
-        """Yields the name, the body and the value of each entity."""
         for key, value in by_entity.items():
             entity = self._present(key, (self,), "; give its name")
             info = self.snapshot.entities[self.snapshot.rows[entity.id]]
