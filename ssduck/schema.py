@@ -257,7 +257,6 @@ def _key(name: str, comment: str) -> Column:
 
 
 def _model_only(name: str, type: ColumnType, comment: str) -> Column:
-    """Returns a column that only the model has."""
     return Column(name, type, comment, storage="model", is_live=False)
 
 
