@@ -513,4 +513,4 @@ def test_no_tick_is_restored_for_the_numbers_of_its_rows(falling, monkeypatch):
     assert len({tick for _, tick in restored}) == 20  # the last tick is the world itself
     falling.record("lab", None)
     with pytest.raises(EvaluationError, match="kept no longer"):
-        print(handles[0].position)
+        assert handles[0].position
