@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol
 
 from ssduck.columns.compiler import LeftToDuckDBError
 from ssduck.database.database import Database
 from ssduck.database.values import sql_type_of
-from ssduck.errors import ArgumentError, EvaluationError, FunctionError
+from ssduck.errors import ArgumentError, EvaluationError, FunctionError, SelectScriptError
 from ssduck.formatting import short_repr, type_in_words
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
 from ssduck.interpreter.scalar_select import RepeatedSelect
@@ -27,6 +28,7 @@ from ssduck.language.analysis import (
     free_aliases,
     is_impure,
     mentions,
+    nested_sources,
     states,
 )
 from ssduck.language.builtins import Function
@@ -138,7 +140,7 @@ class Planner:
     ) -> tuple[ResolvedQuery, list[Sequence[Any]]]:
         """Returns a query with its names resolved, and the elements of its sources."""
         values = [frame.value(source.value) for source in query.sources]
-        values = with_present_ticks(values, frame.own_elements())
+        values = self._with_present_ticks(query, frame, values)
         shapes = source_types(query, values, self._database.schema_of)
         return resolve(query, shapes, self._types_in(frame)), all_elements(values)
 
@@ -238,7 +240,7 @@ class Planner:
             raise NotSqlError
         while True:
             elements = frame.own_elements()
-            values = with_present_ticks(self._values(query, frame), elements)
+            values = self._with_present_ticks(query, frame, self._values(query, frame))
             self._check_records(query, values)
             if any(isinstance(value, Handle) and value.moment is not None for value in elements):
                 raise NotSqlError  # its handles depend on a row of an outer query
@@ -268,6 +270,20 @@ class Planner:
             else frame.value(source.value)
             for alias, source in zip(aliases_of(query), query.sources, strict=True)
         ]
+
+    def _with_present_ticks(
+        self, query: ast.Query, frame: Frame, values: Sequence[Any]
+    ) -> list[Any]:
+        """Returns the values of sources; a world beside its past stays at its current tick.
+
+        Its past may be a source of the query, of one in it, or of one around it.
+        """
+        inside: list[Any] = []
+        if any(isinstance(value, World | Links) for value in values):
+            for node in nested_sources(query):
+                with suppress(SelectScriptError):  # it is an error where a row reaches it
+                    inside.append(frame.value(node))
+        return with_present_ticks(values, frame.own_elements(), inside)
 
     def _cache_plan(self, query: ast.Query, plan: Plan) -> PlannedQuery:
         """Caches a plan, and registers the users' functions in it with the database."""
@@ -306,7 +322,7 @@ class Planner:
             [] if mentions(source.value, changed) else frame.value(source.value)
             for source in query.sources
         ]
-        values = with_present_ticks(values, frame.own_elements())
+        values = self._with_present_ticks(query, frame, values)
         self._check_records(query, values)
         shapes = source_types(query, values, self._database.schema_of)
         return self._row_by_row_query(query, shapes, frame, check).run(frame, values)

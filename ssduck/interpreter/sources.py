@@ -188,15 +188,20 @@ def _arrow_type(sql_type: SqlType) -> pa.DataType:
     return ARROW_TYPES[sql_type.duckdb_type]
 
 
-def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
-    """Returns the values of sources; a world whose past is a source too, at its current tick."""
+def with_present_ticks(
+    values: Sequence[Any], elements: Sequence[Any], inside: Sequence[Any]
+) -> list[Any]:
+    """Returns the values of sources; a world beside its past, at its current tick.
+
+    The past is another source, one of the elements of queries around, or a source of one inside.
+    """
     records = {
         value.world: cast("Record", value.moment.record)
         for value in elements
         if isinstance(value, Handle) and value.moment is not None
     }
     has_present = any(isinstance(value, World | Links) for value in values)
-    for value in values:
+    for value in (*values, *inside):
         if isinstance(value, Past):
             value.check()
             records[value.world] = value.record

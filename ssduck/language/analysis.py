@@ -85,6 +85,18 @@ def free_aliases(node: ast.Node) -> frozenset[str | None]:
     return frozenset(result)
 
 
+@cached_by_node
+def nested_sources(node: ast.Node) -> tuple[ast.Node, ...]:
+    """Returns the sources of the queries in a node that are names, perhaps of a past."""
+    named = ast.Name | ast.TimeIndex
+    result: list[ast.Node] = []
+    for child in node.children():
+        result += nested_sources(child)
+        if isinstance(child, ast.Query):
+            result += [source.value for source in child.sources if isinstance(source.value, named)]
+    return tuple(result)
+
+
 def sees_outside(query: ast.Query) -> bool:
     """Checks whether a nested query sees rows of the queries around it."""
     return bool(free_aliases(query))

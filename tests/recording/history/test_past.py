@@ -364,6 +364,19 @@ NESTED = [
         "AND q.tick = (SELECT max(tick) FROM entities_history WHERE time < 0.101) "
         "AND p.id = q.id AND p.z < o.z - 0.2 AND p.z < q.z)",
     ),
+    *(
+        (
+            "SELECT o.id, o.tick FROM o=lab WHERE EXISTS (SELECT p.this FROM p=lab{} "
+            f"WHERE p.this == o.this AND {moved})",
+            "o WHERE tick = (SELECT max(tick) FROM entities_history) AND EXISTS "
+            "(FROM entities_history p WHERE p.id = o.id AND p.z > o.z + 0.1)",
+        )
+        for moved in (
+            "p.z > o.z + 0.1",
+            "z(p.this) > z(o.this) + 0.1",
+            "distance(p.this, o.this) > 0.1",
+        )
+    ),
     (
         "SELECT o.id, o.tick FROM o=lab{} WHERE o.tick % 60 == 1 AND count("
         "SELECT p.z FROM p=lab{}, q=lab{}, now=lab WHERE p.z > o.z AND q.z < p.z "
@@ -398,6 +411,8 @@ OF_ONE = [
     "SELECT o.id, (SELECT p.this, tick(p.this) FROM p={} WHERE {} AS list) FROM o=lab{{}};",
     "SELECT o.id, count(SELECT p.this FROM p={}, q=lab{{}}, r=lab WHERE {} AND q.z < p.z "
     "AND r.this == o.this AS list) FROM o=lab{{0.01}};",
+    "SELECT o.id, o.tick, (SELECT z(o.this), o.z, o.tick, distance(o.this, p.this) "
+    "FROM p={}, r=lab{{}} WHERE {} AND r.z < 1 AS list) FROM o=lab;",
     "SELECT o.tick FROM o=(SELECT this FROM lab{{0.0}} AS list) WHERE o.this IN "
     "(SELECT p.this FROM p={} WHERE {} AND EXISTS (SELECT r.this FROM r=lab WHERE r.z < p.z) "
     "AS list) AS list;",
