@@ -134,7 +134,6 @@ class Table:
         name: its name.
         row: what a row is, to follow "A row is".
         all_columns: its columns and those that only its model has, in order.
-        filled_by: the functions that write its rows, by their dotted names in `ssduck`.
         key: the columns that join the rows of a tick with those of the model; empty
             for a table whose rows differ from tick to tick.
         entity_columns: the columns that hold ids of entities: a row is recorded if all of these
@@ -153,7 +152,6 @@ class Table:
     name: str
     row: str
     all_columns: tuple[Column, ...]
-    filled_by: tuple[str, ...]
     key: tuple[str, ...] = ()
     entity_columns: tuple[str, ...] = ()
     is_live: bool = True
@@ -310,7 +308,6 @@ _ENTITIES = Table(
         _model_only("visuals", "string", "what is drawn of it, as JSON; NULL if that is not known"),
         _fixed("run", "integer", "random number of the run that the row belongs to"),
     ),
-    ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_entities"),
     key=("id",),
     entity_columns=("id",),
 )
@@ -330,7 +327,6 @@ _LINKS = Table(
         _of_sites("region", "string", "form of a site's region: a type of geometries; else NULL"),
         *(_of_sites(f"region_{axis}", "double", _REGION_SIZE) for axis in "xyz"),
     ),
-    ("world.rows.link_columns", "world.layout.BodyGroup.write_links"),
     key=("entity", "link"),
     entity_columns=("entity",),
     is_on_demand=True,
@@ -378,7 +374,6 @@ _JOINTS = Table(
         _model_only("anchor_z", "double", "point of the axis, in the frame of the link, m"),
         _model_only("reference", "double", "position at which the joint moves nothing, rad or m"),
     ),
-    ("world.rows.joint_columns", "world.snapshot.Snapshot.take"),
     key=("entity", "joint"),
     entity_columns=("entity",),
     is_on_demand=True,
@@ -398,7 +393,6 @@ _SHAPES = Table(
         _fixed("margin", "double", "distance at which the simulator already reports contact, m"),
         _fixed("exact", "boolean", EXACT),
     ),
-    ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_shapes"),
     key=("entity", "shape"),
     entity_columns=("entity",),
     is_on_demand=True,
@@ -418,7 +412,6 @@ _GEOMETRIES = Table(
         _fixed("vertices", "points", "of hulls and meshes, m"),
         _fixed("faces", "triples", "of meshes: three vertex numbers each"),
     ),
-    ("world.snapshot.Snapshot._lay_out",),
     is_recordable=False,
     has_history=False,
 )
@@ -438,7 +431,6 @@ _CONTACTS = Table(
         Column("force", "double", "normal force, N"),
         *_doubles("fx fy fz", "force on a, friction included, N", "force"),
     ),
-    ("world.snapshot.Snapshot.write_contacts",),
     entity_columns=("a", "b"),
     is_on_demand=True,
 )
@@ -453,7 +445,6 @@ _SENSINGS = Table(
         Column("rays", "integer", "number of all its rays, pixels or contact points"),
         Column("measured", "double", "simulated time of the reading, s"),
     ),
-    ("world.sensor_readings.write_sensings",),
     entity_columns=("sensor", "entity"),
     is_on_demand=True,
 )
@@ -461,7 +452,6 @@ _TICKS = Table(
     "ticks",
     "the tick",
     (*_TICK, Column("wall_time", "double", "seconds since 1970")),
-    ("world.snapshot.Snapshot._write_rows",),
     is_recordable=False,
 )
 _FRAMES = Table(
@@ -473,7 +463,6 @@ _FRAMES = Table(
         Column("link", "integer", "number of the link"),
         *_POSE,
     ),
-    ("recording.row_selection.RecordedRows._block",),
     key=("entity", "link"),
     entity_columns=("entity",),
     is_live=False,

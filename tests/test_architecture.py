@@ -113,7 +113,7 @@ def test_kinds_of_worlds_override_nothing_private():
 # The largest number of lines of each package, and of the modules at the top. What a change adds, it
 # takes out, there or elsewhere: the sum falls. A budget is lowered when a package has become smaller.
 BUDGETS = {
-    "": 2_287,
+    "": 2_276,
     "adapters": 4_550,
     "cli": 1_360,
     "columns": 1_278,

@@ -1,15 +1,13 @@
 """The contract of a tick: immutable, of one moment, read no more than is asked for; its columns."""
 
 import threading
-from functools import reduce
-from importlib import import_module
 
 import pybullet
 import pytest
 
 import ssduck
 from ssduck.errors import SimulatorError
-from ssduck.schema import FRAMES, HISTORIES, RECORDED, STORED_TABLES, TABLES
+from ssduck.schema import FRAMES, HISTORIES, STORED_TABLES, TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from tests.support.spy import Spy
 from tests.support.stage import Stage
@@ -283,18 +281,6 @@ def test_a_query_holds_the_tick(attached):
             with pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"):
                 act()
     attached.step()
-
-
-ALL = {**TABLES, **RECORDED}
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_a_table_names_the_functions_that_fill_it(name):
-    assert ALL[name].filled_by
-    for path in ALL[name].filled_by:
-        package, module, *parts = path.split(".")
-        home = import_module(f"ssduck.{package}.{module}")
-        assert callable(reduce(getattr, parts, home))
 
 
 def test_the_poses_of_links_are_for_records_alone():
