@@ -12,6 +12,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from types import CodeType, FrameType
 from typing import Any
@@ -302,8 +303,27 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
         message: the text of the warning.
         category: the class of the warning.
     """
+    text, heard = printable(message, kept="\n\t"), _heard.get()
+    if heard is not None:
+        heard.append(text)
+        return
     _, level = _outer_frame()
-    warnings.warn(printable(message, kept="\n\t"), category, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)
+
+
+# Where the texts of warnings go instead.
+_heard: ContextVar[list[str] | None] = ContextVar("_heard", default=None)
+
+
+@contextmanager
+def heard_warnings() -> Iterator[list[str]]:
+    """Lists the texts of ssduck's warnings in this thread or task, which then warn of nothing."""
+    heard: list[str] = []
+    token = _heard.set(heard)
+    try:
+        yield heard
+    finally:
+        _heard.reset(token)
 
 
 def calling_place() -> tuple[CodeType, int]:

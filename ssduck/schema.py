@@ -425,7 +425,7 @@ _CONTACTS = Table(
         Column("b", "integer", "id of the other entity"),
         Column("link_b", "integer", "number of its link"),
         *_doubles("ax ay az", "point on a where the force acts, m", "point_a"),
-        *_doubles("bx by bz", 'such on b, m; in MuJoCo the same; in SQL write "by"', "point_b"),
+        *_doubles("bx by bz", 'point on b where it acts, m; in SQL write "by"', "point_b"),
         *_doubles("nx ny nz", "unit normal, from b to a", "normal"),
         Column("depth", "double", "penetration, m"),
         Column("force", "double", "normal force, N"),

@@ -500,7 +500,7 @@ def _check_margins(term: Term, text: str, tree: ast.Node) -> None:
             raise ArgumentError(
                 f"{term.key}: {written} has no margin: robustness would be infinite"
             )
-        if isinstance(part, ast.Call) and part.name.startswith(OF_MARGINS) and _looks_ahead(part):
+        if isinstance(part, ast.Call) and part.name.startswith(OF_MARGINS) and looks_ahead(part):
             raise ArgumentError(
                 f"{term.key}: {term.text!r} looks ahead, and is nothing while an episode goes on: "
                 "write historically in place of always, once in place of eventually"
@@ -510,10 +510,11 @@ def _check_margins(term: Term, text: str, tree: ast.Node) -> None:
 def is_decided_later(node: ast.Node) -> bool:
     """Checks whether a condition looks ahead, and may hold: `always` without an end does not."""
     is_endless = isinstance(node, ast.Call) and node.name == "always" and len(node.arguments) < 3
-    return _looks_ahead(node) and not is_endless
+    return looks_ahead(node) and not is_endless
 
 
-def _looks_ahead(node: ast.Node) -> bool:
+def looks_ahead(node: ast.Node) -> bool:
+    """Checks whether a part depends on later ticks."""
     return any(
         isinstance(part, ast.Call)
         and part.name in TEMPORAL_FUNCTIONS

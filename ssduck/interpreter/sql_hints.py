@@ -204,13 +204,15 @@ def _hint_of_world(message: str, sql: str, worlds: Collection[str]) -> str:
 
 def _hint_of_quotes(message: str, sql: str) -> str:
     """Returns the hint for a column whose name is a word of SQL, at the error or before it."""
+    tables = [TABLES[name.lower()] for name in _OWN_TABLES.findall(sql)]
+    quoted = _QUOTED.intersection(name for table in tables for name in table.names)
     if match := _SYNTAX.match(message):
         with suppress(sqlglot.TokenError):
             tokens = sqlglot.tokenize(sql, read="duckdb")
             for token, after in zip(tokens, [*tokens[1:], tokens[-1]], strict=True):
                 is_at = token.text == match[1] or after.text.startswith(match[1])
                 is_bare = token.token_type == sqlglot.TokenType.VAR
-                if is_at and is_bare and token.text.lower() in _QUOTED:
+                if is_at and is_bare and token.text.lower() in quoted:
                     return f'{token.text} is a word of SQL: write "{token.text}"'
     return ""
 

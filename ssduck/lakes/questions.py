@@ -11,7 +11,7 @@ import numpy as np
 from ssduck.adapters.display import RowsOfColumns
 from ssduck.errors import ArgumentError, RecordError, UnknownNameError
 from ssduck.formatting import short_repr
-from ssduck.gym.judge import Judge
+from ssduck.gym.judge import Judge, looks_ahead
 from ssduck.gym.scoring import EpisodeScore, score_with
 from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import reads_present
@@ -97,19 +97,28 @@ class ConditionQuestion(ProgramQuestion):
         if len(tree.statements) != 1 or tree.explain:
             raise ArgumentError(f"lint: {self.text!r} is to be one expression")
         node = tree.statements[0]
-        call = ast.Call(node.span, "changes", (node,), node.span)
-        return replace(tree, statements=(call,)) if self._has_changes(node) else tree
-
-    def _has_changes(self, node: ast.Node) -> bool:
-        kinds = set(map(type, node.walk()))
-        return ast.Index in kinds and kinds.isdisjoint((ast.Query, ast.TimeIndex))
+        if _is_series(node):
+            call = ast.Call(node.span, "changes", (node,), node.span)
+            return replace(tree, statements=(call,))
+        if looks_ahead(node):
+            raise ArgumentError(
+                f"lint: {self.text!r} has a query or a past, so that it is asked at each tick, and "
+                "an operator that looks ahead, which needs all ticks: ask for one of them at a time"
+            )
+        return tree
 
     def _answer(self, present: Interpreter, program: CompiledProgram, entry: EpisodeEntry) -> Any:
-        if self._has_changes(program.tree.statements[0]):
+        if _is_series(program.tree.statements[0]):
             return [value for _, value in present.eval(program)]
         world = present[entry.world]
         ticks = world.ticker.record.ticks.numbers.tolist()
         return [present.eval(program) for tick in ticks if world.seek_tick(tick)]
+
+
+def _is_series(condition: ast.Node) -> bool:
+    """Checks whether `changes` takes a condition: it has a part of a world, and no query."""
+    kinds = set(map(type, condition.walk()))
+    return ast.Index in kinds and kinds.isdisjoint((ast.Query, ast.TimeIndex))
 
 
 def add_hint_of_episode(error: UnknownNameError, program: ast.Program, entry: EpisodeEntry) -> None:

@@ -10,7 +10,6 @@ import contextlib
 import json
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +25,7 @@ from mcp.shared.message import SessionMessage
 from mcp_types import PARSE_ERROR, ErrorData, JSONRPCError
 from pydantic import ValidationError
 
-from ssduck.errors import LimitError, SelectScriptError, printable
+from ssduck.errors import LimitError, SelectScriptError, heard_warnings, printable
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.stopping import StopRequest
@@ -183,7 +182,7 @@ class _Asking:
         def answer() -> tuple[T, list[str]]:
             with _told_to_agent() as told:
                 result = method(*arguments)
-            return result, _as_texts(told)
+            return result, _marked(told)
 
         return await self._turns.answer(answer)
 
@@ -243,17 +242,15 @@ class _Asking:
 
 
 @contextlib.contextmanager
-def _told_to_agent() -> Iterator[list[warnings.WarningMessage]]:
+def _told_to_agent() -> Iterator[list[str]]:
     """Lists warnings, makes errors texts, and sends what programs print to standard error."""
-    with warnings.catch_warnings(record=True) as told, contextlib.redirect_stdout(sys.stderr):
-        warnings.simplefilter("always")
+    with heard_warnings() as told, contextlib.redirect_stdout(sys.stderr):
         try:
             yield told
         except SelectScriptError as error:
             text = printable(f"{type(error).__name__}: {error}", kept="\n")
-            raise ToolError("\n".join([text, *_as_texts(told)])) from error
+            raise ToolError("\n".join([text, *_marked(told)])) from error
 
 
-def _as_texts(told: list[warnings.WarningMessage]) -> list[str]:
-    texts = dict.fromkeys(str(each.message) for each in told)
-    return [printable(f"warning: {text}", kept="\n") for text in texts]
+def _marked(warnings: list[str]) -> list[str]:
+    return [f"warning: {text}" for text in dict.fromkeys(warnings)]

@@ -9,7 +9,6 @@ import base64
 import io
 import math
 import time
-import warnings
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from decimal import Decimal
@@ -30,6 +29,7 @@ from ssduck.errors import (
     LimitError,
     SelectScriptError,
     check_known,
+    heard_warnings,
 )
 from ssduck.interpreter.completion import KEYWORDS, Language, complete
 from ssduck.interpreter.interpreter import Interpreter
@@ -187,6 +187,8 @@ def _cell(value: Any) -> float | str | None:
     match value:
         case None | str():
             return value
+        case Decimal() if value.is_finite() and abs(value) > _MAX_INTEGER:
+            return str(value)
         case float() | Decimal() if math.isfinite(value):
             return float(value)
         case int() if not isinstance(value, bool) and abs(value) <= _MAX_INTEGER:
@@ -304,8 +306,7 @@ class Answers:
         bars = self._bars_of(text, language, _time(question))
         asked = self._source.mirror(self._time_of(question, text, language))
         world = asked.world
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with heard_warnings() as heard:
             value = self._value_of(asked, text, language)
             picture, drawing = _picture(value), drawing_of(value)
             table, marked = _table_of(value, picture)
@@ -326,10 +327,7 @@ class Answers:
             "drawing": drawing,
             "decided": value.decided_at if is_why else None,
             "lanes": bars,
-            "warnings": [
-                *not_shown(asked.interpreter, text, language),
-                *(str(each.message) for each in caught),
-            ],
+            "warnings": [*not_shown(asked.interpreter, text, language), *heard],
             "time": world.time,
             "ms": (time.perf_counter() - started) * 1e3,
         }

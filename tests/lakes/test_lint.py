@@ -117,6 +117,11 @@ def test_errors_and_what_is_no_condition(runs):
     for text, error, match in (
         ("z(sim.ball)", ArgumentError, "is not True or False"),
         ("WHY z(sim.ball) > 1", ArgumentError, "one expression"),
+        (
+            "eventually(z(sim.ball) < 0.9) AND EXISTS (SELECT this FROM sim)",
+            ArgumentError,
+            "has a query.*looks ahead",
+        ),
         ("1 < 2; 2 < 3", ArgumentError, "one expression"),
         ("z(sim.ball >", ParseError, "expected"),
     ):

@@ -5,7 +5,8 @@ A variable that hides a function, a text in the place of a name, a name that no 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -18,7 +19,7 @@ from ssduck.interpreter.lint.scope import Check, Scope, worlds_of
 from ssduck.interpreter.lint.suspect_values import Sources, is_comparison, sources_in, unnamed
 from ssduck.interpreter.over_time.expansions import EXPANSIONS
 from ssduck.language import ast
-from ssduck.language.analysis import OVER_TIME, states
+from ssduck.language.analysis import OVER_TIME, calls_of, states
 from ssduck.recording.replay.past import Past
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.user_sql import NameKind
@@ -169,42 +170,41 @@ def _bare_names(nodes: Iterable[ast.Node]) -> Iterator[ast.Name]:
             yield from _bare_names(node.children())
 
 
-# -- names in parts that others may decide --------------------------------------------------------
+# -- names in parts that are left out --------------------------------------------------------------
 
 
 def skipped_names(statement: ast.Node) -> Iterator[Check]:
-    """Yields the checks of names in parts that are evaluated only where others decide nothing.
+    """Yields the checks of names in parts that AND, OR and IF may leave out.
 
-    Queries and functions of time look up all of their names. What a text of the statement asks for,
-    as in `'cup' IN room AND z(room.cup) > 1`, may come.
+    Queries and functions of time look up their names themselves, where they are evaluated. A name
+    may come that the program assigns, or an entity that it asks for, as in
+    `'cup' IN room AND z(room.cup) > 1`.
     """
-    indices = {
-        part for node in statement.walk() if isinstance(node, ast.Index) for part in node.indices
-    }
-    texts = {
-        node.value
-        for node in statement.walk()
-        if isinstance(node, ast.Literal) and node not in indices
-    }
-    texts |= {node.name for node in statement.walk() if isinstance(node, ast.Assignment)}
+    if "eval" in calls_of(statement):
+        return
+    names = tuple({part.name for part in statement.walk() if isinstance(part, ast.Name)})
     for place in _skipped_places(statement, is_skipped=False):
-        yield partial(_of_nothing, place, texts)
+        yield partial(_unknown_in, place, names)
 
 
 def _skipped_places(node: ast.Node, *, is_skipped: bool) -> Iterator[ast.Node]:
     """Yields the variables, the parts of worlds and the joints that a statement may not look up."""
+    children: Iterable[ast.Node] = node.children()
     match node:
-        case ast.Query():
-            return
+        case ast.Query(sources=sources):
+            children = [source.value for source in sources] if is_skipped else ()
         case ast.Call(name=name) if name in OVER_TIME and not is_skipped:
             return
         case ast.Call(name=name, arguments=(_, ast.Literal(value=str()))) if is_skipped:
             if name in RELATIONS and RELATIONS[name].python_table == "joints":
                 yield node
-        case ast.Name() | ast.Index(base=ast.Name(), indices=(ast.Literal(), *_)) if is_skipped:
+        case ast.Index(base=ast.Name(), indices=(ast.Literal(), *others)) if is_skipped:
+            if all(isinstance(other, ast.Literal) for other in others):
+                yield node
+                return
+        case ast.Name() if is_skipped:
             yield node
-            return
-    for number, child in enumerate(node.children()):
+    for number, child in enumerate(children):
         yield from _skipped_places(child, is_skipped=is_skipped or (number > 0 and _decides(node)))
 
 
@@ -218,27 +218,42 @@ def _decides(node: ast.Node) -> bool:
     return False
 
 
-def _of_nothing(
-    place: ast.Node, texts: Collection[Any], scope: Scope
+def _unknown_in(
+    place: ast.Node, names: tuple[str, ...], scope: Scope
 ) -> Iterator[SelectScriptError]:
-    match place:
-        case ast.Call(arguments=(owner, ast.Literal(value=str() as joint, span=span))):
-            entity = scope.entity(owner)
-            if entity is not None and not scope.names.has(entity.world, "joint", joint):
-                yield scope.names.error(joint, [entity.world], ["joint"], span)
-            return
-        case ast.Name(name=name):
-            may_come = name in texts
-        case ast.Index(base=ast.Name(name=name), indices=(ast.Literal(value=key), *_)):
-            world, key = scope.variable(name), str(key)
-            is_of_world = isinstance(world, World)
-            was_there = is_of_world and key not in world and scope.names.has(world, "entity", key)
-            may_come = key in texts or was_there or not (world is None or is_of_world)
-    if not may_come and name not in scope.local:
+    """Yields the error of a place, if nothing there has its name, and nothing may come."""
+    if isinstance(place, ast.Call):
+        owner, joint = place.arguments
+        entity, name = scope.entity(owner), _text_of(joint)
+        if entity is not None and not scope.names.has(entity.world, "joint", name):
+            yield scope.names.error(name, [entity.world], ["joint"], joint.span)
+    elif not _may_come(place, names, scope):
         try:
             scope.value(place)
         except SelectScriptError as error:
             yield error
+
+
+def _text_of(literal: ast.Node) -> str:
+    assert isinstance(literal, ast.Literal)
+    return str(literal.value)
+
+
+def _may_come(place: ast.Node, names: tuple[str, ...], scope: Scope) -> bool:
+    """Checks whether a variable or a part of a world may be there where it is evaluated."""
+    base = place.base if isinstance(place, ast.Index) else place
+    assert isinstance(base, ast.Name)
+    text = scope.text or ""
+    if base.name in scope.local or re.search(rf"\b{base.name}\s*=(?!=)", text):
+        return True
+    if not isinstance(place, ast.Index):
+        return False
+    world, key = scope.variable(base.name), _text_of(place.indices[0])
+    if not isinstance(world, World):
+        return world is not None
+    is_asked = re.search(rf"(?<!\[)['\"]{re.escape(key)}['\"]", text) is not None
+    was_there = key not in world and scope.names.has(world, "entity", key)
+    return is_asked or was_there or any(scope.variable(name) == key for name in names)
 
 
 # -- names of entities ----------------------------------------------------------------------------

@@ -98,9 +98,8 @@ class Scope:
     worlds: Callable[[], Iterable[World]]  # returns the worlds
     # Returns the type of a relation's result; None if a name is no relation.
     type_of_relation: Callable[[str], str | None]
-    finds: Callable[
-        [ast.Query], bool | None
-    ]  # checks whether a query has a row; None if it cannot run
+    # Checks whether a query has a row; None if it cannot run.
+    finds: Callable[[ast.Query], bool | None]
     value: Callable[[ast.Node], Any]  # returns the value of a variable or of a part of a world
     report: Callable[[SelectScriptError], None]  # warns of a mistake, once
     names: KnownNames  # the names of the parts of worlds

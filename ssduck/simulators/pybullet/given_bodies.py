@@ -79,7 +79,7 @@ class GivenBodies:
         forms = self._forms or {}
         again = [b.handle for b in bodies if _form(b) == forms.get(b.handle)]
         if again and not self.names and not self.kinds:
-            names = joined_names([str(self._all[0].get(handle, handle)) for handle in again])
+            names = joined_names([self._all[0].get(handle, f"body {handle}") for handle in again])
             warn(
                 f"{names}: all bodies were built again, and the names and kinds of World.attach do "
                 "not go on to new bodies: call world.begin_episode() after resetSimulation",

@@ -55,7 +55,7 @@ OF_SQL = [
     ("SELECT bx, by, bz FROM contacts", 'by is a word of SQL: write "by"'),
     ("SELECT a FROM contacts ORDER BY by", 'by is a word of SQL: write "by"'),
     ("SELECT a FROM contacts WHERE by > 0 GROUP BY a", 'by is a word of SQL: write "by"'),
-    ("SELECT BY GROUP BY a", 'BY is a word of SQL: write "BY"'),
+    ("SELECT BY FROM contacts GROUP BY a", 'BY is a word of SQL: write "BY"'),
     ("SELECT * FROM entities WHERE id = 'cube'", "their names are in the column name: WHERE name"),
     (
         "SELECT name FROM entities WHERE near(name, 'table', .1)",
@@ -118,6 +118,7 @@ def test_raw_sql_says_what_to_write(ss, sql, told):
         "SELECT a FROM contacts ORDER BY )",
         'SELECT c.by, "by" FROM contacts c WHERE',
         "SELECT by, $$",
+        "SELECT max(z) by kind FROM entities",
         "SELECT nothing FROM entities",
         "SELECT x FROM entities a, entities b",
         "SELECT speed(z) FROM entities",
@@ -132,9 +133,8 @@ def test_other_errors_of_sql_have_no_such_hint(ss, sql):
 
 
 def test_each_column_that_has_to_be_quoted_is_told_of(ss):
-    names = {name for table in TABLES.values() for name in table.names}
-    for name in names:
-        sql = f'SELECT {{}} FROM (SELECT 1 AS "{name}")'
+    for table, name in ((owner, name) for owner in TABLES.values() for name in owner.names):
+        sql = f'SELECT {{}} FROM (SELECT 1 AS "{name}") AS {table.name}'
         assert ss.sql(sql.format(f'"{name}"')).fetchall() == [(1,)]
         try:
             ss.sql(sql.format(name))

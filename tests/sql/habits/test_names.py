@@ -205,22 +205,34 @@ DECIDED = [
     ("z(room.can) < 0 AND z(room.can.link0) > dicts.mine;", None),
     ("'ball' IN dicts AND z(room.ball) > 1;", None),  # it may come
     ("IF(z(room.can) > 0; 1; new = 2, new);", None),
+    ("IF(z(room.can) < 0; new = 1; 0); IF(z(room.can) > 0; 1; new);", None),
+    ("part = 'ball'; part IN room AND z(room.ball) > 1;", None),
+    ("'ball' == what AND z(room.ball) > 1;", None),
+    ("what IN room AND z(room.ball) > 1;", None),
+    ("IF(z(room.can) > 0; 1; eval('new = 1'), new);", None),
+    ("z(room.can) < 0 AND z(room['can'][fails()]) > 1;", None),  # nothing is called
+    ("z(room.can) < 0 AND count(SELECT id FROM rom AS list) > 1;", "did you mean 'room'"),
+    ("z(room.can) < 0 AND count(SELECT id AS k FROM room WHERE z > 1 AS list) > 1;", None),
 ]
 
 
 @pytest.mark.parametrize(("program", "message"), DECIDED)
 def test_names_that_the_value_does_not_need(ss, program, message):
     ss.add_variable("dicts", {"kind": "mine"})
-    value = not program.startswith("z(room.can) < 0 AND")
+    ss.add_variable("what", "ball")
+    ss.add_function("fails", lambda: 1 / 0)
+    value = program.startswith(("z(room.can) < 0 IMP", "z(room.can) > 0", "IF"))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         for _ in range(2):
-            assert bool(ss.eval(program)) == (value and not program.startswith("'ball'"))
+            assert bool(ss.eval(program)) == value
     assert [message in str(one.message) for one in told] == [True] * (message is not None)
     ss.strict = True
     if message is not None:
         with pytest.raises(SelectScriptError, match=re.escape(message)):
             ss.add_trigger("watch", program, 0.1, print)
+    else:
+        assert bool(ss.eval(program)) == value
 
 
 # (condition on a link, whether there is such a one)
