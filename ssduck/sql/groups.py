@@ -329,6 +329,8 @@ def _row_number(
     widths = [1 if isinstance(key, exp.NEQ) else IDS.bit_length() - 1 for key in keys]
     if order or not are_numbers or sum(widths) > _BITS["HUGEINT"]:
         ordered = [*order, *(ascending(key) for key in keys)]
+        if any(part.name == "error" for key in order for part in key.find_all(exp.Anonymous)):
+            raise NotSqlError  # DuckDB orders no window by what may fail
         copies = exp.Order(expressions=[key.copy() for key in ordered])
         return exp.Window(this=exp.RowNumber(), order=copies)
     kind: str = next(kind for kind, bits in _BITS.items() if sum(widths) <= bits)
