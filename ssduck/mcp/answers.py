@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ssduck.adapters.charts import png
 from ssduck.adapters.display import RowsOfColumns, as_json, display_table, numbered_duplicates
@@ -23,7 +23,6 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import last_query, rows_to_show, value_to_show, with_last
 from ssduck.language import ast
 from ssduck.logic.why import Why
-from ssduck.sandbox.interpreter import SandboxedInterpreter
 from ssduck.schema import HISTORIES, TABLES
 
 # The largest number of names of entities of a world.
@@ -138,27 +137,8 @@ _TOLD = ("world", "number", "started", "ticks", "start", "end", "tables")
 MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
 
 
-class Answers(Protocol):
-    """The answers to the questions that the server's tools ask, one at a time."""
-
-    def schema(self) -> str:
-        """Returns the guide, the worlds, tables and functions."""
-
-    def help(self, name: str) -> str:
-        """Returns the description of a function, a relation or a result form."""
-
-    def episodes(self) -> str:
-        """Returns the episodes of the record as JSON."""
-
-    def query(self, program: str, language: Language, max_rows: int) -> str:
-        """Returns the result of a program as JSON."""
-
-    def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
-        """Returns the PNG picture of a result, or one where what a program selects stands out."""
-
-
 class InterpreterAnswers:
-    """The answers of an interpreter in this process.
+    """The answers of an interpreter in its process, one at a time.
 
     Args:
         ss: the interpreter.
@@ -211,36 +191,6 @@ class InterpreterAnswers:
                 f"{short_repr(world.name)}, by itself or by name: let it end with a query for obj"
             )
         return png(highlighted(world, found, *size))
-
-
-class SandboxedAnswers:
-    """The answers of an interpreter in a sandbox, which are made there as a whole."""
-
-    def __init__(self, ss: SandboxedInterpreter) -> None:
-        self._ss = ss
-
-    def schema(self) -> str:
-        """Returns the guide, the worlds, tables and functions."""
-        return str(self._ask("schema"))
-
-    def help(self, name: str) -> str:
-        """Returns the description of a function, a relation or a result form."""
-        return str(self._ask("help", name))
-
-    def episodes(self) -> str:
-        """Returns the episodes of the record as JSON."""
-        return str(self._ask("episodes"))
-
-    def query(self, program: str, language: Language, max_rows: int) -> str:
-        """Returns the result of a program as JSON, cut to a number of rows and a largest size."""
-        return str(self._ask("query", program, language, max_rows))
-
-    def picture(self, program: str, language: Language, width: int, height: int) -> bytes:
-        """Returns the PNG picture of a result, or one where what a program selects stands out."""
-        return bytes(self._ask("picture", program, language, width, height))
-
-    def _ask(self, method: str, *arguments: Any) -> Any:
-        return self._ss.ask(f"agent answers.{method}", *arguments)
 
 
 def _text(value: Any, max_rows: int) -> str:

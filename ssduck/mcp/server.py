@@ -11,6 +11,7 @@ import json
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -29,7 +30,7 @@ from ssduck.errors import LimitError, SelectScriptError, heard_warnings, printab
 from ssduck.interpreter.completion import Language
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.stopping import StopRequest
-from ssduck.mcp.answers import Answers, InterpreterAnswers, SandboxedAnswers
+from ssduck.mcp.answers import InterpreterAnswers
 from ssduck.sandbox.interpreter import SandboxedInterpreter
 
 
@@ -156,12 +157,11 @@ def create_server(
         version=version("ssduck"),
         log_level="WARNING",
     )
-    answers: Answers = (
-        SandboxedAnswers(ss)
-        if isinstance(ss, SandboxedInterpreter)
-        else InterpreterAnswers(ss, record)
-    )
-    asking = _Asking(answers, _Turns(ss))
+    if isinstance(ss, SandboxedInterpreter):
+        ask = partial(_ask_sandbox, ss)
+    else:
+        ask = partial(_ask_here, InterpreterAnswers(ss, record))
+    asking = _Asking(ask, _Turns(ss))
     tools: list[Callable[..., Any]] = [asking.schema, asking.help, asking.query, asking.picture]
     if record is not None:
         tools.append(asking.episodes)
@@ -170,33 +170,37 @@ def create_server(
     return server
 
 
+def _ask_sandbox(ss: SandboxedInterpreter, method: str, *arguments: Any) -> Any:
+    return ss.ask(f"agent answers.{method}", *arguments)
+
+
+def _ask_here(answers: InterpreterAnswers, method: str, *arguments: Any) -> Any:
+    return getattr(answers, method)(*arguments)
+
+
 class _Asking:
     """The questions that agents ask: the docstrings are written for them."""
 
-    def __init__(self, answers: Answers, turns: _Turns) -> None:
-        self._answers, self._turns = answers, turns
+    def __init__(self, ask: Callable[..., Any], turns: _Turns) -> None:
+        self._ask, self._turns = ask, turns
 
-    async def _answer(self, method: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
+    async def _answer(self, method: str, *arguments: Any) -> list[Any]:
         """Returns the answer to a question and its warnings, unless the agent cancels it."""
 
-        def answer() -> tuple[T, list[str]]:
+        def answer() -> list[Any]:
             with _told_to_agent() as told:
-                result = method(*arguments)
-            return result, _marked(told)
+                result = self._ask(method, *arguments)
+            return [result, *_marked(told)]
 
         return await self._turns.answer(answer)
 
-    async def _texts(self, method: Callable[..., str], *arguments: Any) -> list[str]:
-        text, told = await self._answer(method, *arguments)
-        return [text, *told]
-
     async def schema(self) -> list[str]:
         """Explains how to write queries, and lists worlds, entities, tables and functions."""
-        return await self._texts(self._answers.schema)
+        return await self._answer("schema")
 
     async def help(self, name: str) -> list[str]:
         """Describes a function, a relation or a result form: its arguments, units and result."""
-        return await self._texts(self._answers.help, name)
+        return await self._answer("help", name)
 
     async def query(
         self, program: str, language: Language = "selectscript", max_rows: int = 100
@@ -212,7 +216,7 @@ class _Asking:
             language: SelectScript, or SQL: one SELECT.
             max_rows: the largest number of rows to return.
         """
-        return await self._texts(self._answers.query, program, language, max_rows)
+        return await self._answer("query", program, language, max_rows)
 
     async def picture(
         self,
@@ -232,13 +236,12 @@ class _Asking:
             width: pixels; more than 2,000 are 2,000.
             height: likewise.
         """
-        answers = self._answers
-        png, told = await self._answer(answers.picture, program, language, width, height)
+        png, *told = await self._answer("picture", program, language, width, height)
         return [Image(data=png, format="png"), *told]
 
     async def episodes(self) -> list[str]:
         """Lists the episodes of the record as JSON: world, number, ticks, times (s), tables."""
-        return await self._texts(self._answers.episodes)
+        return await self._answer("episodes")
 
 
 @contextlib.contextmanager

@@ -7,6 +7,8 @@ import os
 import re
 import subprocess
 import sys
+import warnings
+from threading import Thread
 
 import anyio
 import numpy as np
@@ -108,6 +110,28 @@ def test_warnings_follow_what_they_are_about(kitchen, in_sandbox):
         assert all(part in failed.content[0].text for part in ("EvaluationError", *told))
         answer = anyio.run(ask, "picture", program.format(" OR isRobot(this)"))
         assert [content.type for content in answer.content] == ["image", "text"]
+
+
+def test_warnings_of_others_are_not_for_the_agent():
+    def slow():
+        other = Thread(target=warnings.warn, args=("of the program around",))
+        other.start()
+        other.join()
+        return 1
+
+    with ssduck.load("kitchen") as ss:
+        ss.add_function("slow", slow)
+        server = create_server(ss)
+        program = "SELECT slow() FROM kitchen WHERE above(this, kitchen.table) OR isRobot(this);"
+
+        async def ask():
+            async with Client(server) as client:
+                return await client.call_tool("query", {"program": program})
+
+        with pytest.warns(UserWarning, match="of the program around") as told:
+            answer = anyio.run(ask)
+    assert {str(each.message) for each in told} == {"of the program around"}
+    assert [content.text[:9] for content in answer.content][1:] == ["warning: "]
 
 
 def test_the_schema_tells_all_names(kitchen):
