@@ -253,7 +253,8 @@ def _may_come(place: ast.Node, names: tuple[str, ...], scope: Scope) -> bool:
         return world is not None
     is_asked = re.search(rf"(?<!\[)['\"]{re.escape(key)}['\"]", text) is not None
     was_there = key not in world and scope.names.has(world, "entity", key)
-    return is_asked or was_there or any(scope.variable(name) == key for name in names)
+    texts = [value for name in names if isinstance(value := scope.variable(name), str)]
+    return is_asked or was_there or key in texts
 
 
 # -- names of entities ----------------------------------------------------------------------------

@@ -4,6 +4,7 @@ import re
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ssduck
@@ -209,6 +210,7 @@ DECIDED = [
     ("part = 'ball'; part IN room AND z(room.ball) > 1;", None),
     ("'ball' == what AND z(room.ball) > 1;", None),
     ("what IN room AND z(room.ball) > 1;", None),
+    ("z(room.can) < 0 AND z(room.cna) > goal[0];", "did you mean 'can'"),
     ("IF(z(room.can) > 0; 1; eval('new = 1'), new);", None),
     ("z(room.can) < 0 AND z(room['can'][fails()]) > 1;", None),  # nothing is called
     ("z(room.can) < 0 AND count(SELECT id FROM rom AS list) > 1;", "did you mean 'room'"),
@@ -220,6 +222,7 @@ DECIDED = [
 def test_names_that_the_value_does_not_need(ss, program, message):
     ss.add_variable("dicts", {"kind": "mine"})
     ss.add_variable("what", "ball")
+    ss.add_variable("goal", np.zeros(3))
     ss.add_function("fails", lambda: 1 / 0)
     value = program.startswith(("z(room.can) < 0 IMP", "z(room.can) > 0", "IF"))
     with warnings.catch_warnings(record=True) as told:
