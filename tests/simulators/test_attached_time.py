@@ -322,6 +322,8 @@ def test_bodies_that_are_built_again_keep_their_names_in_the_next_episode(client
     with pytest.warns(ProgramWarning, match="^body_1, goal: .*built again.*begin_episode"):
         later = [(entity.name, entity.kind) for entity in world.tick()]
     assert later == [(f"body_{number}", "kinbody") for number in range(3)]
+    built(client, 0.1, 0.2, 0.1)
+    assert heard(world.tick)[1] == []  # it is told once
     built(client, 0.1, 0.2, 0.3)
     with pytest.warns(ProgramWarning, match="^goal: begin_episode found other bodies.*names="):
         world.begin_episode()
@@ -329,6 +331,15 @@ def test_bodies_that_are_built_again_keep_their_names_in_the_next_episode(client
     built(client, 0.1, 0.2, 0.1)
     world.begin_episode()
     assert [(entity.name, entity.kind) for entity in world] == first
+
+
+def test_a_body_in_place_of_the_only_one_is_no_reset(client):
+    built(client, 0.1)
+    world = ssduck.World.attach(client, names={0: "ball"})
+    pybullet.removeBody(0, client)
+    solid(client, pybullet.GEOM_SPHERE, 1, [0, 0, 1], radius=0.1)
+    assert heard(world.tick)[1] == []
+    assert [entity.name for entity in world] == ["body_0"]
 
 
 @pytest.mark.slow

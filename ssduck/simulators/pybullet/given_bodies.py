@@ -8,7 +8,7 @@ in metres, or a list of meshes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -51,6 +51,7 @@ class GivenBodies:
         self._all = dict(self.names), dict(self.kinds)
         # The forms of the bodies that were described first.
         self._forms: dict[int, Any] | None = None
+        self._has_told_of_reset = False
 
     def begin_episode(self) -> None:
         """Says the names and kinds of the bodies that are described next."""
@@ -74,11 +75,16 @@ class GivenBodies:
             )
         return changed
 
-    def warn_of_reset(self, bodies: Iterable[Body]) -> None:
-        """Warns of bodies that were built again and have their names no longer."""
+    def warn_of_reset(self, bodies: Collection[Body]) -> None:
+        """Warns, once, of bodies that were built again and have their names no longer.
+
+        A single body may be the next one of those that a program makes and removes.
+        """
         forms = self._forms or {}
         again = [b.handle for b in bodies if _form(b) == forms.get(b.handle)]
-        if again and not self.names and not self.kinds:
+        is_reset = len(bodies) > 1 and again and not self.names and not self.kinds
+        if is_reset and not self._has_told_of_reset:
+            self._has_told_of_reset = True
             names = joined_names([self._all[0].get(handle, f"body {handle}") for handle in again])
             warn(
                 f"{names}: all bodies were built again, and the names and kinds of World.attach do "

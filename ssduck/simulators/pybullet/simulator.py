@@ -161,7 +161,7 @@ class PyBulletSimulator:
             names = name_bodies(changed, self._given.names)
             new |= {handle: self._describe_body(handle, names[handle], saved) for handle in changed}
         if self._is_described and not present:
-            self._given.warn_of_reset(description.body for description in new.values())
+            self._given.warn_of_reset([description.body for description in new.values()])
         self._check_shapes(description.body for description in new.values())
         read = [description.body for handle, description in new.items() if handle not in order]
         if boxed := [body.name for body in read if body.has_stand_ins]:
