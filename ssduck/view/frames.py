@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -208,7 +208,7 @@ def track_message(id: Any, track: Track) -> bytes:
 
 
 def scene_message(
-    frame: Frame, visuals: Callable[[Body], list[PlacedGeometry]], camera: dict[str, Any]
+    frame: Frame, visuals: Callable[[Body], Sequence[PlacedGeometry]], camera: dict[str, Any]
 ) -> bytes:
     """Returns the message of a scene.
 

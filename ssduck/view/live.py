@@ -251,8 +251,8 @@ class LiveSource:
         """Returns the scene of a frame; the same one until entities come or go."""
         if self._scene is None or not self._scene[0].has_same_scene(frame):
             simulator = self.world.simulator
-            with self.world.lock:
-                visuals = partial(drawn_shapes, simulator)
+            with self.world.lock:  # of a removed body, the simulator tells nothing or another's
+                visuals = self.world.snapshot.drawn or partial(drawn_shapes, simulator)
                 message = scene_message(frame, visuals, camera_of(self.world))
             self._scene = frame, message
         return self._scene[1]

@@ -14,6 +14,7 @@ from ssduck.adapters.grid_values import Grid
 from ssduck.view.answers import drawing_of
 from ssduck.view.facts import facts_of
 from ssduck.view.frames import Frame, track_of
+from ssduck.view.live import LiveSource
 from ssduck.view.scans import Scan
 from ssduck.view.server import SentTicks
 from tests.support.cases import sampled
@@ -272,3 +273,29 @@ def test_a_grid_is_drawn_in_place(cells, kind):
 
 def test_other_values_are_not_drawn():
     assert drawing_of([1, 2]) is None
+
+
+@pytest.mark.slow
+def test_a_removed_body_has_its_colours_in_the_past(client):
+    pybullet = pytest.importorskip("pybullet")
+
+    def ball(colour):
+        look = pybullet.createVisualShape(
+            pybullet.GEOM_SPHERE, radius=0.1, rgbaColor=colour, physicsClientId=client
+        )
+        return pybullet.createMultiBody(1, -1, look, physicsClientId=client)
+
+    def colours(time):
+        message = source.scene(source.frame(time))
+        head = json.loads(message[8 : 8 + struct.unpack_from("<I", message, 4)[0]])
+        return [colour for _, _, _, colour in head["shapes"]]
+
+    red, blue = [1, 0, 0, 1], [0, 0, 1, 1]
+    number = ball(red)
+    with ssduck.Interpreter() as ss:
+        source = LiveSource(ss, ss.add_variable("lab", ssduck.World.attach(client)), "lab")
+        assert colours(None) == [red]
+        pybullet.removeBody(number, client)
+        assert ball(blue) == number
+        source.world.tick()
+        assert (colours(None), colours(0.0)) == ([blue], [red])
