@@ -131,7 +131,7 @@ BUDGETS = {
     "render": 1_098,
     "sandbox": 3_716,
     "shell": 489,
-    "simulators": 10_743,
+    "simulators": 10_746,
     "sql": 7_228,
     "view": 2_313,
     "world": 6_261,

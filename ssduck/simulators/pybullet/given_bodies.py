@@ -76,10 +76,7 @@ class GivenBodies:
         return changed
 
     def warn_of_reset(self, bodies: Collection[Body]) -> None:
-        """Warns, once, of bodies that were built again and have their names no longer.
-
-        A single body may be the next one of those that a program makes and removes.
-        """
+        """Warns, once, of several bodies that were built again and have their names no longer."""
         forms = self._forms or {}
         again = [b.handle for b in bodies if _form(b) == forms.get(b.handle)]
         is_reset = len(bodies) > 1 and again and not self.names and not self.kinds
