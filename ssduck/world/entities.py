@@ -128,12 +128,6 @@ class Entity(Handle):
         """The entity itself; of a link, its entity."""
         return self
 
-    def _numbers(self, first: str, last: str) -> list[float]:
-        moment, recorded = self.moment, []
-        if moment is not None and moment.tick != self.world.snapshot.number:
-            recorded = moment.record.numbers(moment.tick, self.id, first, last)
-        return recorded or super()._numbers(first, last)
-
     @property
     def info(self) -> EntityInfo:
         """The description of the entity at the tick of the handle."""

@@ -54,7 +54,7 @@ class WorldArchive(Protocol):
         """Returns the world at a tick."""
 
     def numbers(self, tick: int, id: int, first: str, last: str) -> list[float]:
-        """Returns recorded doubles of an entity at a tick; [] if there are none."""
+        """Returns recorded doubles of an entity or a link at a tick; [] if there are none."""
 
     def entity(self, tick: int, id: int) -> Entity:
         """Returns the handle of an entity at a tick."""
@@ -224,6 +224,11 @@ class Handle(PublicNames):
         return RemovedEntityError(f"{message}; {told}" if told else message)
 
     def _numbers(self, first: str, last: str) -> list[float]:
+        moment, recorded = self.moment, list[float]()
+        if moment is not None and moment.tick != self.world.snapshot.number:
+            recorded = moment.record.numbers(moment.tick, self.id, first, last)
+        if recorded:
+            return recorded
         with self.state.lock:
             row = self._row()  # it may take a tick
             table = self.state.snapshot.tables[TABLES[self.TABLE].source]

@@ -318,36 +318,36 @@ class Record:
         return place
 
     def numbers(self, tick: int, id: int, first: str, last: str) -> list[float]:
-        """Returns recorded doubles of the row of an entity, from a column to a later one.
+        """Returns recorded doubles of the row of an entity or a link, from a column to a later one.
 
         They are those of the world at the tick, which is not restored for them; [] if there are
-        none.
+        none. Of a link they are those of its pose: the others follow from the shapes.
         """
+        columns = RECORDED_DOUBLES if id < LINK_FACTOR else POSE
+        if first not in columns:
+            return []
         with self.world.lock:
             self._index_of(tick)
+            names = columns[columns.index(first) : columns.index(last) + 1]
+            return self._numbers(tick, entity_of(id), link_of(id), names)
+
+    def _numbers(self, tick: int, id: int, link: int, names: Sequence[str]) -> list[float]:
+        """Returns columns of an entity at a tick, of the entity itself for link -1."""
+        body = self.members[id].body
+        if link < 0 or body is None or len(body.links) == 1:  # its only link is where it is
             rows = self.rows("entities", tick)
-            index = np.flatnonzero(rows["id"] == id)
-            if first not in RECORDED_DOUBLES or not len(index):
-                return []
-            names = RECORDED_DOUBLES[RECORDED_DOUBLES.index(first) :]
-            names = names[: names.index(last) + 1]
-            return [float(rows[name][index[0]]) for name in names]
+            is_meant = rows["id"] == id
+        else:
+            rows = self.rows(self._links_table, tick)
+            is_meant = (rows["entity"] == id) & (rows["link"] == link)
+        return [float(rows[name][index]) for index in np.flatnonzero(is_meant)[:1] for name in names]
 
     def link_poses(self, ticks: Ticks, rows: Indices, id: int, link: int) -> Array:
         """Returns the poses of a link of an entity at the ticks of some rows, (rows, 7)."""
         poses = np.full((len(rows), 7), _NAN)
         for tick in np.unique(ticks[rows]).tolist():
-            poses[ticks[rows] == tick] = self._pose(self._links_table, tick, id, link)
+            poses[ticks[rows] == tick] = self._numbers(tick, id, link, POSE) or _NAN
         return poses
-
-    def _pose(self, table: str, tick: int, id: int, link: int) -> Array:
-        """Returns the pose of a link of an entity at a tick, (7,); NaN if it is not there."""
-        rows = self.rows(table, tick)
-        matches = rows["id"] == id if table == "entities" else rows["entity"] == id
-        if table != "entities":
-            matches &= rows["link"] == link
-        index = np.flatnonzero(matches)
-        return np.array([rows[name][index[0]] if len(index) else _NAN for name in POSE])
 
     def shapes(self, tick: int, *, with_sites: bool = False) -> ShapeQueries:
         """Returns queries of the shapes at a tick; on request, sites have their regions as such."""
