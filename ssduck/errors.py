@@ -296,6 +296,10 @@ def check_known(
         raise error(message, suggestions=nearest(name, known))
 
 
+# Where the texts of warnings go instead.
+_heard: ContextVar[list[str] | None] = ContextVar("_heard", default=None)
+
+
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warns, with the innermost line outside ssduck as the location.
 
@@ -309,10 +313,6 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
         return
     _, level = _outer_frame()
     warnings.warn(text, category, stacklevel=level)
-
-
-# Where the texts of warnings go instead.
-_heard: ContextVar[list[str] | None] = ContextVar("_heard", default=None)
 
 
 @contextmanager

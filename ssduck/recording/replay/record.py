@@ -340,7 +340,8 @@ class Record:
         else:
             rows = self.rows(self._links_table, tick)
             is_meant = (rows["entity"] == id) & (rows["link"] == link)
-        return [float(rows[name][index]) for index in np.flatnonzero(is_meant)[:1] for name in names]
+        places = np.flatnonzero(is_meant)[:1]
+        return [float(rows[name][place]) for place in places for name in names]
 
     def link_poses(self, ticks: Ticks, rows: Indices, id: int, link: int) -> Array:
         """Returns the poses of a link of an entity at the ticks of some rows, (rows, 7)."""

@@ -514,11 +514,14 @@ def test_a_tick_that_is_recorded_later_is_told_of_with_the_whole_record(falling)
         falling.eval("holds(at(9.0, z(ball)) < z(ball));")
 
 
-def test_no_tick_is_restored_for_the_numbers_of_its_rows(falling, monkeypatch):
+@pytest.mark.slow
+def test_no_tick_is_restored_for_the_numbers_of_its_rows(falling, looked_at, monkeypatch):
     _step(falling, 20)
     restored, restore = [], Record.restore
     monkeypatch.setattr(Record, "restore", lambda *both: restored.append(both) or restore(*both))
     handles = falling.eval("SELECT this FROM lab{} AS list;")
+    links = looked_at.eval("SELECT this FROM links(kitchen{-0.03}) AS list;")
+    poses = [link.pose for link in links]
     sums = falling.eval("SELECT this, 1 FROM lab{} AS plane('XZ', [-5, -5], [100, 100, 0.1]);")
     numbers = [[*one.pose, *one.velocity, *one.aabb[0], *one.aabb[1]] for one in handles]
     assert restored == []
@@ -526,6 +529,7 @@ def test_no_tick_is_restored_for_the_numbers_of_its_rows(falling, monkeypatch):
     columns = (*POSE[3:], *POSE[:3], *RECORDED_DOUBLES[8:])
     assert numbers == [[one.column(name) for name in columns] for one in handles]
     assert len({tick for _, tick in restored}) == 20  # the last tick is the world itself
+    assert poses == [[link.column(name) for name in columns[:7]] for link in links]
     falling.record("lab", None)
     with pytest.raises(EvaluationError, match="kept no longer"):
         assert handles[0].position
