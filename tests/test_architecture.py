@@ -127,14 +127,14 @@ BUDGETS = {
     "language": 6_072,
     "logic": 627,
     "mcp": 492,
-    "recording": 8_689,
+    "recording": 8_690,
     "render": 1_098,
     "sandbox": 3_716,
     "shell": 489,
     "simulators": 10_746,
     "sql": 7_228,
     "view": 2_313,
-    "world": 6_261,
+    "world": 6_260,
 }
 
 
